@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import inspect
+import warnings
 from collections.abc import Callable, Collection, Iterable
 from difflib import get_close_matches
 from functools import wraps
@@ -119,3 +120,12 @@ def did_you_mean(
     if not close:
         return f"; {'; '.join(hints)}"
     return f"; did you mean {written[close[0]]}? ({'; '.join(hints)})"
+
+
+def warn(remark: str, category: type[Warning] = ModelWarning) -> None:
+    """Issue a warning at the user's call of this package, or of cvxpy."""
+    packages = {__name__.partition(".")[0], "cvxpy", "numpy"}  # np.errstate wraps functions
+    frame, level = inspect.currentframe(), 1
+    while frame is not None and frame.f_globals.get("__name__", "").partition(".")[0] in packages:
+        frame, level = frame.f_back, level + 1
+    warnings.warn(remark, category, stacklevel=level)

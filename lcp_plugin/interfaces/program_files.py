@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import warnings
 from collections.abc import Callable, Iterable, Mapping
 from itertools import groupby
 from os import PathLike
@@ -13,7 +12,7 @@ import numpy as np
 import scipy.sparse as sp
 
 from ..core.checks import AnyMatrix, Array
-from ..core.errors import InvalidProblem, ModelWarning, UnreadableFile, UnsupportedModel
+from ..core.errors import InvalidProblem, UnreadableFile, UnsupportedModel, warn
 from ..core.files import (
     PARTS,
     arrays_in,
@@ -545,11 +544,9 @@ def load_problem(path: str | PathLike[str]) -> Any:
     """
     problem = _read(checked_path(path))
     if getattr(problem, "sense", 1.0) < 0.0:
-        warnings.warn(
+        warn(
             f"{path} maximizes; the problem returned minimizes the objective with the other sign, and results state "
-            "the objective of the file",
-            ModelWarning,
-            stacklevel=2,
+            "the objective of the file"
         )
     return problem
 
@@ -568,7 +565,7 @@ def _from_mps(source: Path) -> QuadraticProgram:
             "ones: state it in cvxpy, or as an EquilibriumProgram with integers=…"
         )
     if remarks:
-        warnings.warn(f"{source}: {'; '.join(remarks[:3])}", ModelWarning, stacklevel=2)
+        warn(f"{source}: {'; '.join(remarks[:3])}")
     program = _stated(source, QuadraticProgram, lambda: QuadraticProgram.from_ranges(*parts))
     return program.replaced(sense=sign, names=names)
 

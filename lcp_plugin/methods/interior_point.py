@@ -91,7 +91,7 @@ class InteriorPoint(Algorithm):
             if not np.isfinite(z).all():
                 return
             # Complementarity pieces near a point of an engine; one of a start
-            cases = _cases(problem, z, 20)
+            cases = chain(_cases(problem, z, 20), _cases(problem, z, 5, are_ties_free=False))
             sharp = next(cases, Step(z))
             sharp.work += steps * (1.0 + operations / max(problem.nonzeros, 1))
             sharp.remark = f"{engine.name} took {steps} steps"
@@ -100,13 +100,14 @@ class InteriorPoint(Algorithm):
                 return
 
 
-def _cases(problem: LCP, z: Vector, most: int) -> Iterator[Step]:
+def _cases(problem: LCP, z: Vector, most: int, *, are_ties_free: bool = True) -> Iterator[Step]:
     """Yield the solution for the active set of z, then for the active set of this solution, while they are new."""
     system, tried, d = None, set[bytes](), problem.diagonal
     # z and w relative to one another, by the diagonal: the row of a border may be much larger than the others
     units = np.divide(problem.residual_scale, d, out=np.ones(problem.n), where=d > 0.0)
     for _ in range(most):
-        at_lower, at_upper = classify(problem, z, problem.slack(z) * units)
+        slack = problem.slack(z) * units
+        at_lower, at_upper = classify(problem, z, slack, are_ties_free=are_ties_free)
         if (case := signature(at_lower, at_upper)) in tried:
             return
         tried.add(case)

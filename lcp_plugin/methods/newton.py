@@ -46,7 +46,9 @@ class ActiveSetSolution(NamedTuple):
     work: float
 
 
-def classify(problem: LCP, z: Vector, w: Vector) -> tuple[BoolVector, BoolVector]:
+def classify(
+    problem: LCP, z: Vector, w: Vector, *, are_ties_free: bool = True
+) -> tuple[BoolVector, BoolVector]:
     """Return (at_lower, at_upper), the bounds that z − w/d passes, d the residual scale, shape (n,) each.
 
     Parameters
@@ -54,6 +56,8 @@ def classify(problem: LCP, z: Vector, w: Vector) -> tuple[BoolVector, BoolVector
     z, w : ndarray, shape (n,)
         A row with equal bounds is at its lower bound. A row at a bound with w = 0 is free: its z may arrive from other
         rows, and then an active set would take one row per linear solve.
+    are_ties_free : bool
+        If False, such rows are at their bound, because a singular M may have no solution on the rows with them.
 
     Examples
     --------
@@ -64,8 +68,9 @@ def classify(problem: LCP, z: Vector, w: Vector) -> tuple[BoolVector, BoolVector
     """
     step = w / problem.residual_scale
     # z − step ≤ lower, written so that a small step is not lost next to a large z.
-    at_lower = z - problem.lower < step
-    at_upper = (problem.upper - z < -step) & ~at_lower
+    passes = np.less if are_ties_free else np.less_equal
+    at_lower = passes(z - problem.lower, step)
+    at_upper = passes(problem.upper - z, -step) & ~at_lower
     is_fixed = problem.lower == problem.upper
     return at_lower | is_fixed, at_upper & ~is_fixed
 

@@ -15,7 +15,7 @@ import numpy as np
 import scipy.sparse as sp
 from cvxpy.constraints.constraint import Constraint
 
-from ..core.errors import InvalidOption, UnsupportedModel
+from ..core.errors import InvalidOption, UnsupportedModel, warn
 from ..expressions.rows import Indices, as_matrix, is_definition
 from ..problems.programs.program import QuadraticProgram
 from . import _compat as atoms
@@ -23,7 +23,7 @@ from ._compat import EQUATIONS, INEQUALITIES, by_id, dense_value, name_of, sense
 from .agent_conditions import AgentProgram, StandardRows, joined, with_data
 from .best_equilibrium import possible_gain
 from .constraint import Condition
-from .model import Model, warn
+from .model import Model
 from .reading import Reader, restricting_attribute, rewritten
 
 

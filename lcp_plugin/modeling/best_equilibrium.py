@@ -18,7 +18,7 @@ from cvxpy.constraints import NonNeg
 from cvxpy.error import SolverError
 from cvxpy.problems.problem import SolverStats
 
-from ..core.errors import UnsupportedModel
+from ..core.errors import UnsupportedModel, warn
 from ..core.settings import Status
 from ..expressions.rows import Indices, Program
 from ..problems.equilibria.equilibrium_program import EquilibriumProgram
@@ -26,7 +26,7 @@ from ..solving.dispatch import solve
 from . import _compat as compat
 from .agent_conditions import StandardRows, joined, value_in_domain, violated_domain, with_data
 from .constraint import Complements, complements
-from .model import Model, warn
+from .model import Model
 from .reading import rewritten
 
 

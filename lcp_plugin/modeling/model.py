@@ -5,8 +5,6 @@ Pairs whose sides are points of cones: ``cp.SOC(t, x)``, and impulses with frict
 
 from __future__ import annotations
 
-import inspect
-import warnings
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property, partial
@@ -21,7 +19,7 @@ from cvxpy.reductions.solution import Solution
 from numpy.typing import NDArray
 
 from ..core.checks import AnyMatrix, Vector, normalize_bounds
-from ..core.errors import ModelWarning, NotSquare, UnsupportedModel
+from ..core.errors import NotSquare, UnsupportedModel, warn
 from ..core.lcp import LCP
 from ..expressions.rows import Indices, Rows, as_matrix, is_definition
 from ..problems.cones.data import Blocks, ConeProblem
@@ -647,13 +645,3 @@ def pair_residual(pair: Pair) -> Vector | None:
     elif other.form == "value" and side.form == "nonnegative":
         w = np.sign(weights) * w
     return np.abs(np.minimum(np.maximum(w, z - high), z - low))
-
-
-def warn(remark: str, category: type[Warning] = ModelWarning) -> None:
-    """Issue a warning at the user's call of this package, or of cvxpy."""
-    # np.errstate wraps functions
-    packages = {__package__.partition(".")[0], cp.__name__, np.__name__}
-    frame, level = inspect.currentframe(), 1
-    while frame is not None and frame.f_globals.get("__name__", "").partition(".")[0] in packages:
-        frame, level = frame.f_back, level + 1
-    warnings.warn(remark, category, stacklevel=level)

@@ -10,7 +10,7 @@ import numpy as np
 from cvxpy import settings
 from cvxpy.error import DCPError, SolverError
 
-from ..core.errors import InvalidProblem, NotSquare, UnsupportedModel
+from ..core.errors import InvalidProblem, NotSquare, UnsupportedModel, warn
 from ..core.lcp import LCP
 from ..core.names import Names, listed
 from ..problems.programs.certification import Certification, certify_point, with_side_conditions
@@ -27,7 +27,7 @@ from ._compat import (
 from .agents import Optimal, without_agents
 from .best_equilibrium import solve_for_the_best
 from .constraint import Complements, Condition, box, complements
-from .model import Model, warn
+from .model import Model
 from .qp_solver import NamesOnDemand, QPSolver, certify_problem
 
 FLAGS = "gp qcp nlp requires_grad"  # of cvxpy's solve

@@ -27,7 +27,6 @@ doi:10.1023/A:1008292328909.
 
 from __future__ import annotations
 
-import warnings
 from dataclasses import dataclass, field
 from functools import partial
 from typing import Any, NamedTuple
@@ -38,7 +37,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from ..core import checks
 from ..core.checks import checked_vector, is_number, real_array, rectangular_matrix
-from ..core.errors import InvalidProblem, ModelWarning
+from ..core.errors import InvalidProblem, warn
 from ..solving.result import Result
 
 FloatArray = NDArray[np.float64]
@@ -319,7 +318,7 @@ def contact_data(
     b, of_equations = np.split(b.ravel(), [b.size - equations])
     k = b.size // d
     mu, edges = checked_friction(friction, k), _edges(d - 1, directions)
-    warn_of_much_friction(mu, 4)
+    warn_of_much_friction(mu)
     closing = closing_speeds(gaps, time_step, k)
     return Contacts(W, mu, b.reshape(k, d), edges, closing, bodies, of_equations)
 
@@ -383,16 +382,14 @@ def _of_contacts(values: ArrayLike, shape: tuple[int, ...], need: str) -> FloatA
     return np.broadcast_to(array, shape).copy()
 
 
-def warn_of_much_friction(friction: FloatArray, level: int) -> None:
-    """Warn the caller this many frames up if a coefficient is larger than for any material."""
+def warn_of_much_friction(friction: FloatArray) -> None:
+    """Warn the user if a coefficient is larger than for any material."""
     if not friction.max(initial=0.0) > MOST_FRICTION:
         return
     at = np.unravel_index(int(friction.argmax()), friction.shape)
-    warnings.warn(
+    warn(
         f"friction{[int(i) for i in at]} = {friction[at]:g} is more than {MOST_FRICTION:g}, which no two materials "
-        "have: of soft rubber it is some 2; if it is an angle, give its tangent, if a percentage, divide by 100",
-        ModelWarning,
-        stacklevel=level,
+        "have: of soft rubber it is some 2; if it is an angle, give its tangent, if a percentage, divide by 100"
     )
 
 

@@ -21,6 +21,7 @@ from ..core.checks import (
     checked_start,
     checked_vector,
     read_only,
+    vector_option,
 )
 from ..core.entries import clip, unbounded
 from ..core.errors import InvalidOption, did_you_mean, public
@@ -180,7 +181,8 @@ class PreparedProgram(PreparedProblem[QuadraticProgram]):
         has_time = (
             settings.max_iterations >= DAQP.defaults["iter_limit"] and settings.max_seconds > 0.0
         )
-        is_suited = algorithm in ("auto", "daqp") and has_time and not is_watched
+        is_known = options.keys() <= DEFAULTS.keys()  # the solver of `solve` refuses others
+        is_suited = algorithm in ("auto", "daqp") and has_time and is_known and not is_watched
         if is_suited and base.of_daqp and (base.counts > 1).all() and base.terms.is_dense:
             vectors = {name: getattr(problem, name) for name in problem.vector_names}
             self._arrays = base.of_daqp, vectors
@@ -190,6 +192,8 @@ class PreparedProgram(PreparedProblem[QuadraticProgram]):
         if self._arrays is None or not data.keys().isdisjoint(self.problem.matrix_names):
             return None
         began, ((P, C, kinds), vectors) = perf_counter(), self._arrays
+        if start is not None:
+            vector_option(start, "z0", None)
         if all(is_plain(value, *vectors[name].shape) for name, value in data.items()):
             copies = {name: read_only(value.copy()) for name, value in data.items()}
         else:  # the constructor converts and checks other data

@@ -228,7 +228,8 @@ def complaints(result: Any, known: Truth) -> list[str]:
         messages.append(f"value {result.value} above {known.value}")
     if result.lower_bound > known.value + allowed:
         messages.append(f"bound {result.lower_bound} above {known.value}")
-    if result.x is not None and not is_solution(result.problem, result.x):
+    has_point = result.x is not None and not result.has_no_solution
+    if has_point and not is_solution(result.problem, result.x):
         messages.append("x is no solution")
     if result.verify() == (result.bound_by == "SCIP"):  # whose bound nothing proves
         messages.append(f"verify() is {result.verify()}")

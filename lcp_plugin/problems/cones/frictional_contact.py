@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-import warnings
 from copy import copy
 from os import PathLike
 from typing import Any
@@ -14,7 +13,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from ...core import checks
 from ...core.checks import AnyMatrix, Vector, real_array
-from ...core.errors import InvalidProblem, LCPError, ModelWarning, public
+from ...core.errors import InvalidProblem, LCPError, public, warn
 from ...core.files import save_arrays
 from ...core.lcp import LCP
 from ...core.names import format_count
@@ -117,7 +116,7 @@ class FrictionalContactBatch:
             )
             mu = np.where(is_there, mu, 0.0)
         self.W, self.b, self.friction = map(checks.read_only, (matrices, offsets, mu))
-        contact.warn_of_much_friction(np.nan_to_num(self.friction, posinf=0.0), 3)
+        contact.warn_of_much_friction(np.nan_to_num(self.friction, posinf=0.0))
         with np.errstate(all="ignore"):
             difference = np.abs(self.W - self.W.swapaxes(1, 2)).max((1, 2), initial=0.0)
             largest = np.abs(self.W).max((1, 2), initial=0.0)
@@ -285,7 +284,7 @@ class FrictionalContact(Blocks):
         self._closing = np.zeros(offset.size)
         self._closing[: d * k : d] = contact.closing_speeds(gaps, time_step, k)
         mu = contact.checked_friction(friction, k, f"one per contact of {d} rows")
-        contact.warn_of_much_friction(mu, 3)
+        contact.warn_of_much_friction(mu)
         W = checks.rectangular_matrix(W, "W", offset.size, offset.size, is_copied=False)
         contact.check_symmetric(W, "W", NEARLY_SYMMETRIC)
         rows = LCP(W, offset + self._closing, lower=-np.inf, upper=np.inf)
@@ -357,11 +356,9 @@ def dimension_of(dimension: int | None, friction: tuple[int, ...], rows: int) ->
     """
     count = math.prod(friction)
     if dimension is None and not friction and rows and rows % 6 == 0:
-        warnings.warn(
+        warn(
             f"{rows} rows and one number μ are read as {rows // 3} contacts in space, not as {rows // 2} "
-            "in the plane; pass dimension=2 or dimension=3",
-            ModelWarning,
-            stacklevel=3,
+            "in the plane; pass dimension=2 or dimension=3"
         )
     if dimension is None and friction and count and rows % count == 0:
         dimension = rows // count

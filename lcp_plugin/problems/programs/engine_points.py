@@ -247,14 +247,14 @@ def candidates(
     has_origin = not statement.b.any() and (statement.h >= 0.0).all()
     begin = [point, origin] if has_origin else [point]
     for near in chain(begin, polish_steps(statement, point, rounds)):
-        clean = near._replace(x=_without_noise(near.x), y=_without_noise(near.y))
+        clean = near._replace(x=without_noise(near.x), y=without_noise(near.y))
         is_polished = near is not point and near is not origin
         if not (np.array_equal(clean.x, near.x) and np.array_equal(clean.y, near.y)):
             yield clean, is_polished
         yield near, is_polished
 
 
-def _without_noise(values: Vector) -> Vector:
+def without_noise(values: Vector) -> Vector:
     """Return the values with 0 at rounding level of the largest."""
     sizes = np.abs(values)
     # An interior point reaches 0 only to this

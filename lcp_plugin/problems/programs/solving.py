@@ -27,7 +27,15 @@ from ...solving.result import Sample, StageRecord
 from ...solving.run import Named, Progress, Run, Stage, say
 from ..least_squares.solving import solve_least_squares
 from .conversion import optimality_conditions
-from .engine_points import NO_MINIMUM, ProgramPoint, Scaling, attempts, nearest, run_engine
+from .engine_points import (
+    NO_MINIMUM,
+    ProgramPoint,
+    Scaling,
+    attempts,
+    nearest,
+    run_engine,
+    without_noise,
+)
 from .no_minimum import NoMinimum, QPUnboundedness, known_proof, numbers, proof_of_contradiction
 from .program import QuadraticProgram, refuse_nonconvex
 from .regression import Outward, points_near, regression_of
@@ -140,7 +148,7 @@ def first_point(
         options = {**options, "iter_limit": settings.max_iterations}
     m, tolerance = reduced.h.size, settings.tolerance
     end = DAQP.end_of(m, *layout, c.copy(), *ends_of_rows(judged.d, m, lower, upper), options)
-    x, y = clip(end.x, lower, upper), end.y
+    x, y = clip(without_noise(end.x), lower, upper), without_noise(end.y)  # as a run begins
     errors, x = KKTErrors.with_point(judged, x, y, tolerance)
     is_sharp = errors.meet(tolerance) and errors.gap <= SHARP * (x.size + y.size)
     if not is_sharp or is_in_doubt(program, errors, x):
@@ -399,7 +407,7 @@ class ProgramRun(Run):
         """Return the result."""
         program, status, best = self.program, self.status(end), self.best
         is_rounding = status is Status.PRECISION_LIMIT and not self._is_nearly_optimal
-        if best is None or (is_rounding and self.doubtful is not None):
+        if best is None or (is_rounding and isinstance(self.doubtful, QPUnboundedness)):
             solution = QPSolution.from_reduced(program, *nearest(program))
             begun = [stage.algorithm.name for stage in self.progress.stages]
             name = begun[-1] if begun else ""

@@ -181,7 +181,7 @@ class PreparedProgram(PreparedProblem[QuadraticProgram]):
         has_time = (
             settings.max_iterations >= DAQP.defaults["iter_limit"] and settings.max_seconds > 0.0
         )
-        is_known = options.keys() <= DEFAULTS.keys()  # the solver of `solve` refuses others
+        is_known = options.keys() <= DEFAULTS.keys()  # `solve` rejects other options
         is_suited = algorithm in ("auto", "daqp") and has_time and is_known and not is_watched
         if is_suited and base.of_daqp and (base.counts > 1).all() and base.terms.is_dense:
             vectors = {name: getattr(problem, name) for name in problem.vector_names}

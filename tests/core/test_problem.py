@@ -278,13 +278,11 @@ def test_with_q_changes_q_and_the_bounds_given():
 
 
 @refusals(r"""
-LCP(np.eye(2), [[1.0], [2.0]]) → got shape \(2, 1\); write np.ravel\(q\)
-LCP(np.eye(2), np.ones(2), lower=np.zeros((1, 2))) → got shape \(1, 2\); write np.ravel\(lower\)
 solve(LCP(np.eye(2), np.ones(2)), np.zeros(2)) → a start is z0=…
 solve(BoundedLeastSquares(np.eye(2), np.ones(2)), np.zeros(2)) → a start is z0=…
 solve(ConeProblem(np.eye(2), np.ones(2), [('second_order', 2)]), [0.0, 0.0]) → a start is z0=…
 """)
-def test_a_row_a_column_and_a_start_in_the_wrong_place_are_told_what_to_write(call, words):
+def test_a_start_in_the_wrong_place_is_told_what_to_write(call, words):
     """Common mistakes in the first call of every problem class raise errors with the remedy."""
     assert_refused(call, words, {})
 

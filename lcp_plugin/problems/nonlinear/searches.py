@@ -274,8 +274,6 @@ class JosephyNewton(Algorithm):
             tried += 1
             # ∞ gains nothing on ∞
             is_better = self._merit(point) < (1.0 - 1e-4 * length) * worst
-            # far from a source the last digits become right, and the largest residual remains
-            is_better |= point.is_defined and point.passes(self.settings)
             is_lenient = is_newton and length == 1.0 and len(self.recent) > 1
             if not (is_better or is_lenient) or not point.is_defined:
                 continue

@@ -67,7 +67,8 @@ def test_no_status_of_the_atlas_is_false(name):
             result = solve(case.problem, name, z0=case.start, max_iterations=3000)
         except (UnsuitableMatrix, UnsuitableProblem):
             continue
-        if case.problem.n <= 2500:
+        is_normal = np.abs(case.problem.q).max() >= np.finfo(float).tiny  # else slacks count as 0
+        if case.problem.n <= 2500 and is_normal:
             assert_honest(result)
         if case.exact is not None:
             assert not result.has_no_solution, case.stress

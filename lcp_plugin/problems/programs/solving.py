@@ -407,7 +407,7 @@ class ProgramRun(Run):
         """Return the result."""
         program, status, best = self.program, self.status(end), self.best
         is_rounding = status is Status.PRECISION_LIMIT and not self._is_nearly_optimal
-        if best is None or (is_rounding and isinstance(self.doubtful, QPUnboundedness)):
+        if best is None or (is_rounding and self.doubtful is not None):
             solution = QPSolution.from_reduced(program, *nearest(program))
             begun = [stage.algorithm.name for stage in self.progress.stages]
             name = begun[-1] if begun else ""

@@ -15,8 +15,8 @@ graph of M and in each row i
 - A slack at the rounding level of its row counts as 0: |w_i| ≤ 8 ε min(T_i, S_i), S_i = T_i(z°) + 2²⁰ d_i ‖r_P(z°)‖∞,
   so that a z that ran away does not make every slack rounding. A w_i also counts as 0 if |w_i| and |w_i|/d_i are below
   the smallest normal double.
-- An idle row has entries, and w_i(z°) = 0: other rows determine its z_i, as in the far field of a price, where z_i
-  underflows. 2⁻¹⁰⁴ is ε².
+- An idle row has d_i = m_ii and w_i(z°) = 0: other rows determine its z_i, as in the far field of a price, where z_i
+  underflows. 2⁻¹⁰⁴ is ε². If d_i is another entry, z_i may have to move much further than |r_i|.
 
 Rounding errors are included in test 1. A row whose demand is below 2⁻⁴² of its terms is noise, and violations below the
 smallest normal double pass test 2: these are the limits. Test 2 is omitted in rows with |r_i| ≤ absolute tolerance.
@@ -243,7 +243,9 @@ class RowData:
     @cached_property
     def least_violation(self) -> Vector:
         """Violation of each row that passes next to any terms: of rounding in idle rows, or below normal doubles."""
-        is_idle = (self.norm(self.slack_at_origin) == 0.0) & (self._counts > 0)
+        M = self.M
+        diagonal = np.diagonal(M, 0, -2, -1) if isinstance(M, np.ndarray) else M.diagonal()
+        is_idle = (self.norm(self.slack_at_origin) == 0.0) & (self.scale == diagonal)
         return np.maximum(np.where(is_idle, IDLE_ROUNDING * self._changes_at_origin, 0.0), NORMAL)
 
     @cached_property

@@ -243,7 +243,7 @@ def damaged(result: Any) -> Iterator[tuple[str, Any]]:
         yield "bound raised", replace(result, lower_bound=result.lower_bound + step)
         if result.x is not None:
             yield "value lowered", replace(result, value=result.value - step)
-    if result.x is not None:
+    if result.x is not None and not result.has_no_solution:  # then x is NaN
         problem = result.problem
         moves = (
             ("x", np.arange(problem.program.n), 0.5),

@@ -70,7 +70,9 @@ RESULTS: dict[str, tuple[Callable[[], Any], Status, str, str]] = {
         "next: add bounds for the unknowns",
     ),
     "precision": (
-        lambda: solve(LCP([[1, -1, 0], [-1, 1, 0], [1, 0, 1]], [-1e-6, 0, -1e9])),
+        lambda: solve(
+            LCP([[-1.0, -1.0], [-1.0, 2.0]], [-5.6e-17, 1.0])
+        ),  # no solution, by rounding
         Status.PRECISION_LIMIT,
         "relative residual",
         "next: accept z, or rescale the data",

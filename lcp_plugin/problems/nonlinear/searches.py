@@ -21,7 +21,7 @@ from ...core.algorithm import Algorithm, Step
 from ...core.checks import Vector
 from ...core.deadline import is_over
 from ...core.entries import max_norm
-from ...core.kernels.floats import NEGLIGIBLE, NEGLIGIBLE_DIAGONAL
+from ...core.kernels.floats import DATA_ROUNDING, NEGLIGIBLE, NEGLIGIBLE_DIAGONAL
 from ...core.settings import Settings
 from ...core.tuning import CHEAP_UP_TO
 from ...methods.newton import fischer_burmeister
@@ -274,6 +274,10 @@ class JosephyNewton(Algorithm):
             tried += 1
             # ∞ gains nothing on ∞
             is_better = self._merit(point) < (1.0 - 1e-4 * length) * worst
+            if (
+                current.residual <= DATA_ROUNDING
+            ):  # far from a source the last digits become right, and nothing falls
+                is_better |= point.is_defined and point.passes(self.settings)
             is_lenient = is_newton and length == 1.0 and len(self.recent) > 1
             if not (is_better or is_lenient) or not point.is_defined:
                 continue

@@ -6,6 +6,7 @@ compute the operands of a pivot again for every entry of the table; a `cond` mak
 
 from __future__ import annotations
 
+import math
 from contextlib import suppress
 from functools import partial
 from typing import Any, NamedTuple
@@ -14,8 +15,8 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from ..core.checks import INFINITE_LIMIT, Array
-from ..core.errors import InvalidProblem
+from ..core.checks import INFINITE_LIMIT, Array, check_kind, real_array
+from ..core.errors import InvalidProblem, public
 from ..core.kernels.floats import FREE, HIGH, LOW, NEGLIGIBLE_DIAGONAL, SMALLEST_PIVOT
 from ..core.settings import checked_tolerance
 from .small import LOOP_UP_TO, tilts
@@ -203,7 +204,7 @@ def _is_extreme(x: Array) -> Any:
     power = 2.0 ** (info.minexp // 3)
     least, most, infinite = np.array([power, 1.0 / power, INF], x.dtype).view(np.dtype(kind))
     is_extreme = (size > 0) & (size < least) | (size > most) & (size < infinite)
-    return is_extreme.reshape(-1, x.shape[-1]).any(0)
+    return is_extreme.any(tuple(range(x.ndim - 1)))
 
 
 def _parts(M: Array) -> Any:
@@ -334,8 +335,10 @@ def _solve_mapped_stack(size: int, are_mapped: Array, *data: Array) -> Any:
         array if is_mapped else jnp.broadcast_to(array, (size, *array.shape))
         for array, is_mapped in zip(arrays, are_mapped, strict=False)
     )
-    results = solve_stack(*(array.reshape(-1, *array.shape[2:]) for array in wide), tolerance)
-    return tuple(x.reshape(size, -1, *x.shape[1:]) for x in results), (True,) * 3
+    count = data[1].shape[are_mapped[1]]
+    stacks = (array.reshape(size * count, *array.shape[2:]) for array in wide)
+    results = solve_stack(*stacks, tolerance)
+    return tuple(x.reshape(size, count, *x.shape[1:]) for x in results), (True,) * 3
 
 
 @jax.custom_jvp  # type: ignore[untyped-decorator]
@@ -375,6 +378,7 @@ def _change_of_solution(data: Array, changes: Array) -> Any:
     return (z, path, residual), (dz, jnp.zeros_like(path), jnp.zeros_like(residual))
 
 
+@public
 def solve_lcp(
     M: Array, q: Array, lower: Array = 0.0, upper: Array = INF, *, tolerance: float | None = None
 ) -> tuple[Any, Any]:
@@ -386,7 +390,8 @@ def solve_lcp(
     ----------
     M : array, shape (…, n, n), n at most 128
     q : array, shape (…, n)
-        Leading axes are batch axes, and broadcast. Float64 or float32; the others have this type.
+        Leading axes are batch axes, and broadcast. Arrays of JAX in float64 or float32, or numbers, which become
+        float64 if JAX has it.
     lower, upper : array, shape (…, n), or number
     tolerance : float, optional
         Of the stopping criterion of SOLVED; 1e-8 in double precision, 1e-3 in single precision.
@@ -404,7 +409,7 @@ def solve_lcp(
     InvalidProblem
         If shapes do not fit together, or n is larger.
     InvalidOption
-        If the tolerance is not between 0 and 1.
+        If the tolerance is not between 0 and 1, or for another argument.
 
     Notes
     -----
@@ -424,18 +429,19 @@ def solve_lcp(
     """
     M, q, lower, upper = checked_arrays(M, q, lower, upper)
     axes, n, dtype = q.shape[:-1], q.shape[-1], q.dtype
-    if isinstance(tolerance, (int, float)):
-        checked_tolerance(tolerance, may_be_zero=False)
     tolerance = TOLERANCES[dtype.itemsize] if tolerance is None else tolerance
-    vectors = (array.reshape(-1, n) for array in (q, lower, upper))
-    z, _, residual = _solution(M.reshape(-1, n, n), *vectors, tolerance)
+    if not isinstance(tolerance, jax.Array):
+        checked_tolerance(tolerance, may_be_zero=False)
+    count = math.prod(axes)
+    vectors = (array.reshape(count, n) for array in (q, lower, upper))
+    z, _, residual = _solution(M.reshape(count, n, n), *vectors, tolerance)
     return z.reshape(*axes, n), (residual < INF).reshape(axes)
 
 
 def checked_arrays(*arrays: Array) -> list[Any]:
     """Return M, q, lower and upper with all batch axes and of one type, float64 or float32; raise InvalidProblem."""
-    arrays = tuple(map(jnp.asarray, arrays))
-    dtype, shapes = jnp.result_type(*arrays[:2], jnp.float32), [array.shape for array in arrays]
+    arrays = tuple(map(real_values, arrays, ("M", "q", "lower", "upper")))
+    dtype, shapes = jnp.result_type(*arrays[:2]), [array.shape for array in arrays]
     if dtype not in (np.float32, np.float64):
         raise InvalidProblem(f"M and q must be arrays of float64 or float32, got {dtype}")
     n = shapes[1][-1] if shapes[1] else 0
@@ -449,3 +455,21 @@ def checked_arrays(*arrays: Array) -> list[Any]:
         f"M must have shape (…, n, n), q (…, n), bounds (…, n) or be numbers, 1 ≤ n ≤ {LOOP_UP_TO}; got M {shapes[0]}, "
         f"q {shapes[1]}, lower {shapes[2]}, upper {shapes[3]}"
     )
+
+
+def has_arrays(values: Array) -> bool:
+    """Return whether the values are an array of JAX, or contain one."""
+    return any(isinstance(part, jax.Array) for part in jax.tree.leaves(values))
+
+
+def real_values(values: Array, name: str) -> Any:
+    """Return the values as an array of JAX, in double precision unless they are floats of another type."""
+    need = f"{name} must be an array of real numbers"
+    is_single = getattr(values, "dtype", None) == np.float32
+    if not (is_single or has_arrays(values)):
+        values = real_array(values, need)
+    array = jnp.asarray(values)
+    if jnp.issubdtype(array.dtype, jnp.floating):
+        return array
+    check_kind(array.dtype, need)
+    return array.astype(float)

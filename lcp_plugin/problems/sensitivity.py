@@ -18,6 +18,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from contextlib import suppress
+from copy import copy
 from dataclasses import dataclass
 from functools import partial
 from types import SimpleNamespace
@@ -801,8 +802,9 @@ def _derivative_of_batch(batch: BatchAnswers) -> Any:
     problems = batch.problems
     if isinstance(problems, ContactInstances):
         return ContactBatchDerivative(batch)
-    if problems.are_lcps and isinstance(batch.z, np.ndarray):
-        return BatchDerivative(batch)
+    z = batch._run.tables().get("z")  # on the host
+    if problems.are_lcps and isinstance(z, np.ndarray):
+        return BatchDerivative(checks.fill(copy(batch), z=z))
     if isinstance(problems, ProgramBatch):
         valid = (problems[k] for k in range(len(batch)) if k not in batch.errors)
         example = problems.base or next(valid, None)

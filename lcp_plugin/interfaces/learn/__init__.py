@@ -63,7 +63,7 @@ import scipy.sparse as sp
 from ...core.checks import Array
 from ...core.errors import InvalidProblem, LCPError, NotConverged, UnsupportedModel
 from ...core.names import listed
-from ...problems.batches.batch import solve_batch
+from ...problems.batches.batch import checked_overrides, solve_batch
 from ...problems.batches.batch_run import BatchAnswers
 from ...problems.batches.program_batch import ProgramBatch, programs_for
 from ...problems.cones.frictional_contact import FrictionalContact
@@ -83,11 +83,19 @@ class Layer(ABC):
         Whether unsolved problems get z = 0 and the gradient 0, instead of an error.
     **options
         Options of :func:`lcp_plugin.solve_batch`.
+
+    Raises
+    ------
+    InvalidOption
+        For another option, or a wrong value.
     """
 
     def __init__(self, *, mask: bool = False, **options: Any) -> None:
         self.mask, self.options = mask, options
+        others = "algorithm", "callback", *self.of_problem
+        checked_overrides({name: options[name] for name in options if name not in others})
 
+    of_problem: ClassVar[tuple[str, ...]] = ()  # options of the problem
     matrices_at: ClassVar[tuple[int, ...]] = (0,)  # places of the matrices among the arrays
     bounds_at: ClassVar[tuple[int, ...]] = ()  # places of vectors of the length of the second array
     takes_start: ClassVar[bool] = True
@@ -322,6 +330,7 @@ class ContactLayer(Layer):
     """Contact problems with friction as a function of W, b and friction."""
 
     alone, names = "FrictionalContact(W, b, friction)", ("M", "q", "friction")
+    of_problem = "contacts", "dimension", "equations"
 
     @classmethod
     def of(cls, convert: Convert, W: Array, b: Array, friction: Array, **options: Any) -> LayerCall:
@@ -330,8 +339,7 @@ class ContactLayer(Layer):
 
     def _solved(self, axes: tuple[int, ...], data: Sequence[Any], options: Any) -> BatchAnswers:
         W, b, friction = data
-        names = options.keys() & {"contacts", "dimension", "equations"}
-        of_problem = {name: options.pop(name) for name in names}
+        of_problem = {name: options.pop(name) for name in options.keys() & {*self.of_problem}}
         b = stacked(b, axes, b.shape[-1:])
         friction = stacked(friction, axes, friction.shape[-1:]) if friction.ndim else friction
         problem = FrictionalContact.worlds(matrices(W, axes), b, friction, **of_problem)

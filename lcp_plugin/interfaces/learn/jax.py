@@ -20,11 +20,11 @@ except ImportError:
 import jax.numpy as jnp
 from scipy.sparse import issparse
 
-from ...core.checks import AnyMatrix, Array, check_kind, real_array
+from ...core.checks import AnyMatrix, Array, real_array
 from ...core.errors import InvalidOption, InvalidProblem
 from ...core.kernels.floats import EPSILON, NORMAL
 from ...methods.small import LOOP_UP_TO
-from ...methods.small_lcps_in_jax import solve_lcp
+from ...methods.small_lcps_in_jax import has_arrays, real_values, solve_lcp
 from ..derivatives import require_double
 from . import ContactLayer, Layer, LayerCall, LCPLayer, QPLayer
 
@@ -297,16 +297,10 @@ _solution.defvjp(_solution_forward, _solution_backward)
 
 def _array(values: Array, name: str) -> Any:
     """Return the values as a float64 array, of numpy if they are constants; other float types are rejected."""
-    need = f"{name} must be an array of real numbers"
-    if not isinstance(values, jax.Array):
-        if not any(isinstance(part, jax.Array) for part in jax.tree.leaves(values)):
-            return real_array(values, need)
-        values = jnp.asarray(values)  # a list of them
-    if values.dtype == np.float64:
-        return values
-    if jnp.issubdtype(values.dtype, jnp.floating):
-        raise InvalidProblem(
-            f"{name} must be an array of float64, got {values.dtype}; write {name}.astype(float)"
-        )
-    check_kind(values.dtype, need)
-    return values.astype(np.float64)
+    if not has_arrays(values):
+        return real_array(values, f"{name} must be an array of real numbers")
+    if (array := real_values(values, name)).dtype == np.float64:
+        return array
+    raise InvalidProblem(
+        f"{name} must be an array of float64, got {array.dtype}; write {name}.astype(float)"
+    )

@@ -53,8 +53,8 @@ def solve_batch(
         LCPs of one size with at most 128 unknowns are solved in a compiled loop if there are 32, or by "lemke" any
         number; small problems over the same cones and programs of one shape as stacks; others individually. Arrays
         of shape (B, n, n) are not copied: do not change their entries while you use the result.
-        Arrays of JAX, and of PyTorch and CuPy on a GPU, stay on their device: LCPs with n at most 128. JAX solves
-        them; problems whose points a sufficient test does not accept are solved on the host.
+        Arrays of JAX, and of PyTorch and CuPy on a GPU, stay on their device: M or q of LCPs with n at most 128. JAX
+        solves them; problems whose points a sufficient test does not accept are solved on the host.
     q : array, shape (B, n) or (n,)
         For one QuadraticProgram the vectors c, shape (B, n), or the mappings; for one BoundedLeastSquares the vectors
         b, shape (B, m).
@@ -124,19 +124,10 @@ def solve_batch(
     """
     if isinstance(M, PreparedProblem):
         M = M.problem
-    for name in sorted(options.keys() - BatchOptions.__annotations__.keys()):
-        known = ("lower", "upper", "z0", "algorithm", "callback", *BatchOptions.__annotations__)
-        hint = "; pass starts as z0, one for each problem"
-        hint = hint if name == "x0" else did_you_mean(name, known)
-        raise InvalidOption(f"solve_batch has no option {name!r}{hint}")
-    overrides = {name: value for name, value in options.items() if value is not None}
-    Settings(**overrides)  # options are checked before the data
-    for name in ("absolute_tolerance", "prove_infeasibility"):  # which some classes lack
-        if overrides.get(name) == DEFAULTS[name]:
-            del overrides[name]
+    overrides = checked_overrides(options)  # before the data
     pairs = (lower, -np.inf), (upper, np.inf)
     lower, upper = (None if x is ... else none if x is None else x for x, none in pairs)
-    if any(map(is_of_device, (M, q))):
+    if is_of_device(M) or (isinstance(M, np.ndarray) and is_of_device(q)):
         method_of(algorithm, {})
         bounds = 0.0 if lower is None else lower, np.inf if upper is None else upper
         return solve_on_device((M, q, *bounds, z0), algorithm, overrides, callback)
@@ -154,6 +145,21 @@ def solve_batch(
     if stated.are_lcps:
         method_of(algorithm, {})
     return BatchRun(stated, algorithm, overrides).run(callback)
+
+
+def checked_overrides(options: Any) -> dict[str, Any]:
+    """Return the options of a batch other than defaults; raise InvalidOption for unknown names and wrong values."""
+    for name in sorted(options.keys() - BatchOptions.__annotations__.keys()):
+        known = ("lower", "upper", "z0", "algorithm", "callback", *BatchOptions.__annotations__)
+        hint = "; pass starts as z0, one for each problem"
+        hint = hint if name == "x0" else did_you_mean(name, known)
+        raise InvalidOption(f"solve_batch has no option {name!r}{hint}")
+    overrides = {name: value for name, value in options.items() if value is not None}
+    Settings(**overrides)
+    for name in ("absolute_tolerance", "prove_infeasibility"):  # which some classes lack
+        if overrides.get(name) == DEFAULTS[name]:
+            del overrides[name]
+    return overrides
 
 
 def _problems_of(M: AnyMatrix, q: Array, lower: Array, upper: Array, z0: Array) -> Any:
@@ -186,7 +192,7 @@ def _programs_of(M: AnyMatrix, q: Any, lower: Any, upper: Any, z0: Any) -> Progr
         _refuse_algorithm(q)
         _refuse_data("the vectors", '[{"lower": …, "upper": …}]', None, lower, upper)
         is_list = isinstance(q, Sequence) and bool(q)
-        if isinstance(q, np.ndarray) or (is_list and isinstance(q[0], (Sequence, np.ndarray))):
+        if hasattr(q, "shape") or (is_list and isinstance(q[0], (Sequence, np.ndarray))):
             return ProgramBatch.with_costs(M, q)
         return ProgramBatch.of(programs_for(M, q), M)
     is_list = z0 is None and isinstance(M, Sequence) and bool(M)

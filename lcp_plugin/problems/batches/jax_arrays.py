@@ -14,7 +14,7 @@ from typing import Any
 
 import numpy as np
 
-from ...core.checks import Array
+from ...core.checks import Array, check_kind
 from ...core.errors import InvalidProblem
 from ...methods.small import LOOP_UP_TO
 from .batch_run import BatchAnswers, BatchRun
@@ -35,7 +35,7 @@ class DeviceProblems(Stacked):
 
     def __init__(self, *data: Array) -> None:
         try:
-            jax: Array = import_module("jax")
+            jax = self.jax
         except ImportError:
             raise ImportError(
                 "arrays on a GPU are solved by JAX; install it for the GPU: pip install 'jax[cuda13]'; or copy them to "
@@ -46,25 +46,38 @@ class DeviceProblems(Stacked):
                 "solve_batch got an array without values, as within jax.jit; there call solve_lcp of "
                 "lcp_plugin.interfaces.learn.jax"
             )
-        switch = jax if hasattr(jax, "enable_x64") else import_module("jax.experimental")
-        self.double, self.jax = partial(switch.enable_x64, True), jax
         with self.double():
             arrays = [self.on_device(array) if is_of_device(array) else array for array in data]
             super().__init__(*(None if array is None else np.asarray(array) for array in arrays))
         self.arrays, self.n = arrays[:4], self.M.shape[-1]
-        self.device = next(array.device for array in arrays if isinstance(array, jax.Array))
+
+    @property
+    def jax(self) -> Any:
+        """The module."""
+        return import_module("jax")
+
+    def double(self) -> Any:
+        """Return a context in which JAX calculates in double precision."""
+        has_switch = hasattr(self.jax, "enable_x64")
+        return (self.jax if has_switch else import_module("jax.experimental")).enable_x64(True)
+
+    @property
+    def device(self) -> Any:
+        """Device of the first array that is on one."""
+        return next(array.device for array in self.arrays if isinstance(array, self.jax.Array))
 
     def on_device(self, array: Array) -> Any:
         """Return a float64 array of JAX, on its device; an array of another library without a copy."""
-        is_jax = isinstance(array, self.jax.Array)
-        return self.jax.numpy.asarray(
-            array if is_jax else self.jax.dlpack.from_dlpack(array), float
-        )
+        jax = self.jax
+        array = array if isinstance(array, jax.Array) else jax.dlpack.from_dlpack(array)
+        if not jax.numpy.issubdtype(array.dtype, jax.numpy.floating):
+            check_kind(array.dtype, "the arrays must hold real numbers")
+        return jax.numpy.asarray(array, float)
 
     def slacks(self, z: Array) -> Any:
         """Return M z + q of each problem on the host, shape (B, n), in double precision without x64 also."""
         with self.double():
-            return super().slacks(np.asarray(self.on_device(z)))
+            return super().slacks(np.asarray(self.on_device(z) if is_of_device(z) else z))
 
     def stacks(self, tolerance: float, has_time: Callable[[], bool], threads: int) -> Stacks:
         """Yield parts of the batch that the device solves."""

@@ -1,17 +1,30 @@
 """LCPs solved by operations of JAX: is_solved is a proof, derivatives, transformations; batches in arrays of JAX."""
 
 import doctest
+import pickle
+from functools import partial
 
 import numpy as np
 import pytest
 from inputs.planted import planted
+from scipy.sparse import csr_array
 
 jax = pytest.importorskip("jax")
 
 import jax.numpy as jnp  # noqa: E402
 
 import lcp_plugin.methods.small_lcps_in_jax as kernel  # noqa: E402
-from lcp_plugin import LCP, InvalidOption, InvalidProblem, certify, derivative, solve, solve_batch  # noqa: E402
+from lcp_plugin import (  # noqa: E402
+    LCP,
+    InvalidOption,
+    InvalidProblem,
+    QuadraticProgram,
+    certify,
+    derivative,
+    prepare,
+    solve,
+    solve_batch,
+)
 from lcp_plugin.interfaces.learn.jax import lcp_layer, qp_layer, solve_lcp  # noqa: E402
 
 INF, COUNT, N = np.inf, 24, 6
@@ -191,6 +204,26 @@ def test_solve_batch_of_jax_arrays_returns_jax_arrays(monkeypatch):
     with pytest.raises(InvalidProblem, match=r"q\[0\] = nan"):
         found[5]
     assert found.errors.keys() == {5}
+    np.testing.assert_array_equal(pickle.loads(pickle.dumps(found)).z, found.z)
+    by, ours = (
+        derivative(found).vjp(jnp.ones((COUNT, N))).q,
+        derivative(ours).vjp(np.ones((COUNT, N))).q,
+    )
+    np.testing.assert_allclose(by, ours, rtol=1e-9, atol=1e-11)
+
+
+def test_solve_batch_of_a_problem_takes_its_vectors_from_jax():
+    """As q of an LCP, of a prepared LCP, and as the costs of a program."""
+    M, q = np.array([[2.0, 1.0], [1.0, 2.0]]), jnp.array([[-5.0, 1.0], [1.0, 1.0]])
+    for stated in (LCP(M, q[0]), prepare(LCP(M, q[0])), QuadraticProgram(M, q[0], lower=0)):
+        np.testing.assert_allclose(solve_batch(stated, q).x, [[2.5, 0.0], [0.0, 0.0]], atol=1e-8)
+
+
+def test_lists_are_double_precision_and_a_batch_may_be_empty():
+    """Python numbers are not rounded to single precision; also an empty mapped axis has a result."""
+    assert solve_lcp([[2, 1], [1, 2]], [-5, 1])[0].dtype == np.float64
+    assert solve_lcp(jnp.eye(2), jnp.zeros((0, 2)))[0].shape == (0, 2)
+    assert jax.vmap(lambda q: solve_lcp(jnp.eye(2), q)[0])(jnp.zeros((0, 2))).shape == (0, 2)
 
 
 def test_extreme_data_are_not_decided():
@@ -215,9 +248,19 @@ def test_slacks_of_single_precision_arrays_are_double():
         (lambda M, q: solve_batch(M, q[:1]), InvalidProblem, "q must have shape"),
         (lambda M, q: solve_lcp(np.eye(129), np.ones(129)), InvalidProblem, "1 ≤ n ≤ 128"),
         (lambda M, q: solve_lcp(M, 1j * q), InvalidProblem, "got complex"),
+        (lambda M, q: solve_batch(1j * M, q), InvalidProblem, "got complex"),
+        (lambda M, q: solve_batch(M, 1j * q), InvalidProblem, "got complex"),
+        (lambda M, q: solve_lcp(LCP(M, q), q), InvalidProblem, "M must be an array"),
+        (lambda M, q: solve_lcp(csr_array(M), q), InvalidProblem, r"use \.toarray"),
+        (lambda M, q: solve_lcp(M, q, "a"), InvalidProblem, "lower must be an array"),
+        (lambda M, q: solve_lcp(M, q, tolerance="a"), InvalidOption, "tolerance must be"),
+        (lambda M, q: solve_lcp(M), InvalidOption, "missing"),
+        (lambda M, q: solve_lcp(M, q, lowr=0), InvalidOption, "did you mean 'lower'"),
+        (lambda M, q: jax.jit(partial(lcp_layer, M, tolerance=-1.0))(q), InvalidOption, "got -1"),
+        (lambda M, q: lcp_layer(M, q, foo=1), InvalidOption, "no option 'foo'"),
     ],
 )
 def test_what_arrays_of_jax_do_not_have_is_refused(use, error, words):
-    """Options of the host, arrays without values, other shapes and types, derivatives of a batch."""
+    """Options of the host, arrays without values, other shapes, types and arguments; not by a raw error of JAX."""
     with pytest.raises(error, match=words):
         use(jnp.eye(2), -jnp.ones(2))

@@ -43,7 +43,7 @@ def worst_violation(problem: LCP, z: Any) -> float:
 def test_a_wall_in_a_rotated_frame_stays_at_rest(courses, angle):
     """Every brick of a wall on the ground has the velocity 0 after the impulses."""
     contacts = everyday.wall(courses, courses, angle)
-    result = solve(contacts.lcp(), max_seconds=5.0).require_solved()
+    result = solve(contacts.lcp()).require_solved()
     assert abs(contacts.velocity_after(result.z)).max() <= 1e-6 * GRAVITY
     assert result.z.min() >= 0.0
 
@@ -55,7 +55,7 @@ def test_a_stack_of_doubled_contacts_stays_at_rest(boxes, noise):
     """Noise in the velocities of contacts, most of which are redundant, leaves the boxes at rest."""
     rng = np.random.default_rng(boxes)
     contacts = everyday.doubled_stack(boxes, rng)
-    result = solve(contacts.lcp(noise * rng.normal(size=8 * boxes)), max_seconds=5.0)
+    result = solve(contacts.lcp(noise * rng.normal(size=8 * boxes)))
     assert abs(contacts.velocity_after(result.require_solved().z)).max() <= 1e-6 * GRAVITY
 
 
@@ -65,7 +65,7 @@ def test_a_network_with_decimal_weights_is_at_rest_on_its_bound(nodes):
     rng = np.random.default_rng(nodes)
     for low in rng.integers(1, 10, 6) / 10:
         K = everyday.network(nodes, rng)
-        free = solve(LCP(K, np.zeros(nodes), lower=low), max_seconds=5.0).require_solved().z
+        free = solve(LCP(K, np.zeros(nodes), lower=low)).require_solved().z
         assert np.ptp(free) <= 1e-7 * free.max()
         assert free.min() >= low
         leaking = LCP(K + 0.1 * np.eye(nodes), np.full(nodes, -0.1 * low), lower=low)
@@ -260,15 +260,15 @@ def test_integer_problems_in_units_far_apart_are_not_solved_falsely():
 
 
 def test_a_wall_of_22_contacts_takes_no_search():
-    """A wall with more contacts than any enumeration of active sets can visit is solved within a second."""
+    """A wall with more contacts than any enumeration of active sets can visit is solved."""
     contacts = everyday.wall(3, 3, 0.3)
     assert len(contacts.normals) == 22
-    assert solve(contacts.lcp(), max_seconds=1.0).is_solved
+    assert solve(contacts.lcp()).is_solved
 
 
 def test_a_problem_of_the_largest_numbers_is_solved():
     """Terms that overflow when they are added do not refuse z = 1."""
-    result = solve(LCP(np.diag([1e308, 1e308]), [-1e308, -1e308]), max_seconds=1.0)
+    result = solve(LCP(np.diag([1e308, 1e308]), [-1e308, -1e308]))
     np.testing.assert_array_equal(result.require_solved().z, 1.0)
 
 
@@ -278,7 +278,7 @@ def test_a_put_on_two_assets_is_priced_to_its_far_field(algorithm, correlation):
     """Far from the strike the values fall below 1e-90, and no method computes all of their digits."""
     for nodes in (31, 41):
         problem = everyday.put_on_two_assets(nodes, (0.15, 0.35), correlation)
-        z = solve(problem, algorithm, max_seconds=5.0).require_solved().z
+        z = solve(problem, algorithm).require_solved().z
         slack, above = problem.slack(z), z - problem.lower
         np.testing.assert_allclose(np.minimum(above, slack), 0.0, atol=1e-8)
         np.testing.assert_allclose(np.minimum(above, abs(slack)), 0.0, atol=1e-8)

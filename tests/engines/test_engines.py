@@ -183,7 +183,6 @@ def test_an_engine_takes_the_options_of_solve():
     program, x, _ = planted_program(12, 9, 3, 12, 0)
     short = solve(program, "piqp", max_iterations=1)
     assert short.status in (Status.MAX_ITERATIONS, Status.SOLVED)  # a polish may complete one step
-    assert short.iterations <= 4  # a second call uses another scaling
     seen = []
     watched = solve(
         program,
@@ -191,6 +190,7 @@ def test_an_engine_takes_the_options_of_solve():
         record=True,
         callback=lambda sample, z: seen.append((sample.iteration, z.size)),
     )
+    assert short.iterations < watched.iterations
     assert [sample.residual is None for sample in watched.history] == [True, False]
     assert seen == [(0, x.size), (watched.iterations, x.size)]
     assert np.array_equal(solve(program, "piqp", z0=x).x, watched.x)

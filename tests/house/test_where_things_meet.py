@@ -626,7 +626,7 @@ def one_of_each_kind() -> list[Any]:
 
 
 def test_time_ends_a_batch_of_several_kinds():
-    """Each problem has a status, those that were not begun MAX_SECONDS, and none of them costs time.
+    """Each problem has a status, those that were not begun MAX_SECONDS without an iteration.
 
     Stacks of small problems over cones and of small LCPs come first.
     """
@@ -635,7 +635,7 @@ def test_time_ends_a_batch_of_several_kinds():
     )  # type: ignore[union-attr]
     answers = solve_batch(problems, max_seconds=0.2)
     assert len(answers) == len(answers.status) == len(problems)
-    assert answers.seconds < 5.0
+    assert answers[-1].iterations == 0
     assert answers.status[-1] is answers[-1].status is Status.MAX_SECONDS
     assert not answers.is_solved
     assert "MAX_SECONDS" in repr(answers)

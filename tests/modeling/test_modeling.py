@@ -707,7 +707,7 @@ def market(signs: dict[str, Any]) -> cp.Problem:
 def test_a_constraint_with_the_wrong_sign_in_all_rows_is_named(signs, words):
     """A rule typed once for all plants is named as one constraint; a right model has no such line."""
     model = market(signs)
-    model.solve(method="LCP", max_seconds=2.0)
+    model.solve(method="LCP")
     told = model.solver_stats.extra_stats.explain()
     assert words in told
     assert ("may be wrong" in told) == bool(words)

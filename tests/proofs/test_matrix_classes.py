@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import contextlib
-import time
 from fractions import Fraction
 
 import numpy as np
@@ -189,16 +188,16 @@ def random_graph(n: int, degree: int, shift: float) -> sp.csr_array:
 
 
 @pytest.mark.full
-def test_a_random_graph_is_not_factorized():
-    """Fill of order n² is foreseen: undecided in seconds, decided where dominance does it."""
+def test_a_random_graph_is_not_factorized(monkeypatch):
+    """Fill of order n² is foreseen: undecided, or decided where dominance does it."""
+    for factorization in ("scipy.sparse.linalg.splu", "qdldl.Solver"):
+        monkeypatch.setattr(factorization, lambda *_, **__: pytest.fail("minutes of fill"))
     M = random_graph(20_000, 8, 1.2)
     assert not factor_fits(M)
     report = analyze(M)
-    began = time.process_time()
-    print(report)
+    str(report)
     assert report.is_positive_definite is None
     assert report.is_p_matrix is None
-    assert time.process_time() - began < 30.0
     assert analyze(random_graph(20_000, 8, 12.0)).is_h_plus
 
 

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import sys
-import time
 from concurrent.futures import ThreadPoolExecutor
 from fractions import Fraction
 from typing import Any
@@ -456,14 +455,13 @@ def test_threads_that_share_the_matrices_of_a_program_get_its_solutions():
         sys.setswitchinterval(before)
 
 
-def test_a_stiff_difference_of_two_unknowns_ends_soon():
+def test_a_stiff_difference_of_two_unknowns_takes_no_arbitrary_starts_of_lemke(monkeypatch):
     """P = 2⁵⁰ ((1, −1), (−1, 1)) up to 10⁶: the gradient of one double next to another is 1e5, larger than c."""
     P = 2.0**50 * np.array([[1.0, -1.0], [-1.0, 1.0]])
     program = QuadraticProgram(P, [-1.0, 0.5], lower=0.0, upper=1e6)
-    solve(program.with_vectors())  # imports and compiles
-    began = time.process_time()
+    arbitrary = "lcp_plugin.methods.lemke.pivoting_path._random_cell"
+    monkeypatch.setattr(arbitrary, lambda *_: pytest.fail("hundreds of paths"))
     result = solve(program)
-    assert time.process_time() - began < 1.0
     assert not result.is_solved or result.objective == pytest.approx(-5e5)
 
 

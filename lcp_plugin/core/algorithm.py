@@ -21,7 +21,7 @@ PROJECTED_RELAXATION = "projected relaxation"
 MODULUS = "modulus"
 
 
-@dataclass(frozen=True, eq=False, kw_only=True)
+@dataclass(frozen=True, eq=False)
 class IterationFacts:
     """The family and the parameters of an iteration, for convergence theorems.
 

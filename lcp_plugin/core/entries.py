@@ -56,6 +56,12 @@ def count_entries(matrix: AnyMatrix) -> int:
     return int(matrix.nnz if sp.issparse(matrix) else np.count_nonzero(matrix))
 
 
+def entries_of_rows(matrix: Any) -> Any:
+    """Return the number of nonzeros of each row; without its zeros if the matrix, or a stack of matrices, is dense."""
+    is_dense = isinstance(matrix, np.ndarray)
+    return np.count_nonzero(matrix, axis=-1) if is_dense else np.diff(matrix.indptr)
+
+
 def largest_products(sizes: Any, x: Vector) -> Vector:
     """Return max_j |m_ij| x_j of each row, x ≥ 0; `sizes` is |M|, of one problem or, dense, of a stack."""
     if sp.issparse(sizes):

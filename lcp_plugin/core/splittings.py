@@ -56,10 +56,14 @@ from .algorithm import (
 from .checks import Vector
 from .entries import max_norm
 from .errors import InvalidOption, UnsuitableMatrix
-from .kernels import splitting_sweeps as kernels
 from .kernels.splitting_sweeps import extrapolate, relaxation_sweep, splitting_sweep
 from .lcp import LCP
-from .sweep_data import automatic_factors, has_positive_diagonal, inverse_residual_scale, row_splits
+from .sweep_data import (
+    automatic_factors,
+    has_positive_diagonal,
+    inverse_residual_scale,
+    split_matrix,
+)
 
 
 class Splitting(Algorithm):
@@ -112,28 +116,15 @@ class Splitting(Algorithm):
         points : generator, optional
             The extrapolations of x; without them an iteration begins where the last iteration ended.
         """
-        matrix, M = problem.matrix, problem.matrix.csr
-        passes = SWEEPS[self.sweep]
-        splits = {backward: row_splits(matrix, backward) for backward in passes}
-        new = np.empty_like(x)
+        passes, new = SWEEPS[self.sweep], np.empty_like(x)
+        matrices = [split_matrix(problem.matrix, backward) for backward in passes]
         unwanted = np.empty_like(x) if z is not None and len(passes) > 1 else z
         work = 1.0
         while True:
             squares = 0.0
             for k, backward in enumerate(passes):
-                others = () if z is None else (unwanted if k else z,)
-                residual, change = kernel(
-                    M.indptr,
-                    splits[backward],
-                    M.indices,
-                    M.data,
-                    rows,
-                    *weights,
-                    backward,
-                    x,
-                    new,
-                    *others,
-                )
+                vectors = (x, new) if z is None else (x, new, unwanted if k else z)
+                residual, change = kernel(*matrices[k], rows, *weights, backward, *vectors)
                 if k == 0:
                     yield Step(x if z is None else z, residual, work=work)
                 x, new, squares = new, x, squares + change
@@ -266,10 +257,9 @@ class ScaledByRows(Algorithm):
 
     def finish(self, problem: LCP, z: Vector) -> Vector:
         """Return z after one projected Gauss–Seidel sweep, which puts active components at their bounds."""
-        M, split, cleaned = problem.matrix.csr, row_splits(problem.matrix, False), z.copy()
-        inverse_scale = inverse_residual_scale(problem.matrix)
+        cleaned, inverse_scale = z.copy(), inverse_residual_scale(problem.matrix)
         rows = np.column_stack([problem.q, problem.lower, problem.upper, inverse_scale])
-        relaxation_sweep(M.indptr, split, M.indices, M.data, rows, 1.0, False, cleaned)
+        relaxation_sweep(*split_matrix(problem.matrix, False), rows, 1.0, False, cleaned)
         return cleaned
 
 
@@ -306,10 +296,8 @@ class ProjectedType(ScaledByRows, Splitting):
 
     def iterates(self, problem: LCP, z0: Vector) -> Iterator[Step]:
         """Yield z₀, z₁, …; each with its residual, which the pass to the next iterate measures anyway."""
-        alpha, beta = self.weights()
-        step = self.row_scaling(problem)
-        pivot = self._inverse_pivot(problem, step * problem.matrix.diagonal, alpha)
-        inverse = inverse_residual_scale(problem.matrix)
+        (alpha, beta), step = self.weights(), self.row_scaling(problem)
+        pivot, inverse = self._inverse_pivot(problem, step), inverse_residual_scale(problem.matrix)
         rows = np.column_stack([problem.q, problem.lower, problem.upper, inverse, step, pivot])
         points = self.extrapolations(z0, problem.lower, problem.upper)
         weights = beta / alpha, True, step_unit(max_norm(problem.q * inverse))
@@ -317,24 +305,18 @@ class ProjectedType(ScaledByRows, Splitting):
 
     def facts(self, problem: LCP) -> IterationFacts:
         """Return α, β, S and the sweep; raise UnsuitableMatrix if a pivot is not positive."""
-        alpha, beta = self.weights()
-        step = self.row_scaling(problem)
-        self._inverse_pivot(problem, step * problem.matrix.diagonal, alpha)
-        return IterationFacts(
-            family=PROJECTED_TYPE,
-            has_momentum=self.momentum is not None,
-            relaxation=alpha,
-            acceleration=beta,
-            sweep=self.sweep,
-            scaling=step,
-        )
+        step, has_momentum = self.row_scaling(problem), self.momentum is not None
+        self._inverse_pivot(problem, step)
+        weights = *self.weights(), self.sweep
+        return IterationFacts(PROJECTED_TYPE, *weights, step, has_momentum=has_momentum)
 
     def automatic_factors(self, problem: LCP) -> Vector:
         """Return θ, shape (n,)."""
         alpha, beta = self.weights()
         return automatic_factors(problem.matrix, beta / alpha, self.sweep)
 
-    def _inverse_pivot(self, problem: LCP, scaled_diagonal: Vector, alpha: float) -> Vector:
+    def _inverse_pivot(self, problem: LCP, step: Vector) -> Vector:
+        scaled_diagonal, alpha = step * problem.matrix.diagonal, self.weights()[0]
         pivot = scaled_diagonal / alpha + scaled_diagonal + 2.0
         inverse: Vector = 1.0 / pivot
         if pivot.size and not pivot.min() > 0.0:
@@ -474,10 +456,8 @@ class _Relaxation(Splitting):
         """Return ω and β, None if they are determined during the run, and the sweep."""
         require_positive_diagonal(problem, self.name)
         is_automatic = getattr(self, "relaxation", None) == "auto"
-        omega, beta = (None, None) if is_automatic else self.weights()
-        return IterationFacts(
-            family=PROJECTED_RELAXATION, relaxation=omega, acceleration=beta, sweep=self.sweep
-        )
+        weights: tuple[Any, Any] = (None, None) if is_automatic else self.weights()
+        return IterationFacts(PROJECTED_RELAXATION, *weights, self.sweep)
 
 
 class _InPlace(_Relaxation):
@@ -485,20 +465,16 @@ class _InPlace(_Relaxation):
 
     def iterates(self, problem: LCP, z0: Vector) -> Iterator[Step]:
         """Yield z₀, z₁, …, all in the same array; the increment shows when a residual is worth measuring."""
-        matrix, M = problem.matrix, problem.matrix.csr
         pivots = require_positive_diagonal(problem, self.name)
         rows = np.column_stack([problem.q, problem.lower, problem.upper, 1.0 / pivots])
-        passes = SWEEPS[self.sweep]
-        splits = {backward: row_splits(matrix, backward) for backward in passes}
+        passes = [(*split_matrix(problem.matrix, way), rows, way) for way in SWEEPS[self.sweep]]
         z, work = z0, float(len(passes))
 
         def sweep(relaxation: float, *, is_settling: bool = False) -> tuple[Step, float]:
             """Return the step of a sweep, and Σ|z⁺ − z|."""
             largest = total = 0.0
-            for backward in passes:
-                change, change_sum = kernels.relaxation_sweep(
-                    M.indptr, splits[backward], M.indices, M.data, rows, relaxation, backward, z
-                )
+            for *arrays, backward in passes:
+                change, change_sum = relaxation_sweep(*arrays, relaxation, backward, z)
                 largest = change if not change <= largest else largest  # a NaN stays
                 total += change_sum
             return Step(z, increment=largest, work=work, is_settling=is_settling), total

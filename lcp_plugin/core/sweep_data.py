@@ -29,17 +29,18 @@ def has_positive_diagonal(matrix: Matrix) -> NDArray[np.bool_]:
 
 
 @fact
-def row_splits(matrix: Matrix, backward: bool) -> Any:
-    """Return where the updated columns of each row end, for a sweep direction, shape (n,)."""
+def split_matrix(matrix: Matrix, backward: bool) -> Any:
+    """Return M as a sweep in that direction takes it; see :func:`split_rows`."""
     return split_rows(matrix.csr, backward=backward)
 
 
-def split_rows(M: sp.csr_array, *, backward: bool = False) -> Any:
-    """Return the position of the first column ≥ i of each row i, or > i if backward, shape (n,)."""
+def split_rows(M: sp.csr_array, *, backward: bool = False) -> tuple[Any, Any, Any, Vector]:
+    """Return the arrays of M, the second the positions of the first column ≥ i of row i, or > i if backward."""
     rows = row_numbers(M)
     is_before = M.indices <= rows if backward else M.indices < rows
     before = np.bincount(rows[is_before], minlength=M.shape[0])
-    return read_only((M.indptr[:-1] + before).astype(M.indptr.dtype))
+    split = read_only((M.indptr[:-1] + before).astype(M.indptr.dtype))
+    return M.indptr, split, M.indices, M.data
 
 
 def triangle_sums(matrix: Matrix, v: Vector, part: Any = None) -> tuple[Vector, Vector]:

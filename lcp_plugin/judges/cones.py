@@ -208,18 +208,16 @@ def bound_contacts(starts, W, b, z, mu, d, labels, tolerance, w):  # type: ignor
         tangent, of_disk = np.linalg.norm(x), np.linalg.norm(terms[first + 1 : end])
         beyond = x - drift / d[c]
         edge = min(radius / max(np.linalg.norm(beyond), NORMAL), 1.0) * beyond
-        along = (
-            np.minimum((drift * x).sum(), 0.0) if tangent >= (1.0 - AT_ROUNDING) * radius else 0.0
-        )
+        is_edge = tangent >= (1.0 - AT_ROUNDING) * radius
+        along = np.minimum((drift * x).sum(), 0.0) if is_edge else 0.0
         across = np.linalg.norm(drift - along / np.maximum(tangent * tangent, NORMAL) * x)
         presses = at > 0.0 or is_row
         is_right = (abs(push) if presses else -push) <= CERTAINLY_NEGLIGIBLE * size
         is_right &= across <= CERTAINLY_NEGLIGIBLE * of_disk or radius == 0.0
         if not (is_right and size + of_disk < np.inf and (at >= 0.0 or is_row)):
             return np.inf
-        residual = max(
-            abs(push / d[c] if is_row else min(push / d[c], at)), np.linalg.norm(x - edge)
-        )
+        of_normal = abs(push / d[c] if is_row else min(push / d[c], at))
+        residual = max(of_normal, np.linalg.norm(x - edge))
         residual += margin * np.linalg.norm(doubt[first:end]) / d[c]
         residual += 16.0 * EPSILON * max(radius, tangent)  # z_T and its projection cancel
         most[labels[c]] = max(most[labels[c]], residual)

@@ -35,7 +35,7 @@ from typing import Any, ClassVar, NamedTuple
 import numpy as np
 
 from ..core.checks import AnyMatrix, BoolVector, Vector
-from ..core.entries import clip, largest_products, max_norm
+from ..core.entries import clip, entries_of_rows, largest_products, max_norm
 from ..core.kernels.compilation import kernel
 from ..core.kernels.floats import (
     DATA_ROUNDING,
@@ -186,8 +186,7 @@ class RowData:
     @cached_property
     def _counts(self) -> Any:
         """Number of nonzeros of each row; a status does not depend on whether M is stored with its zeros."""
-        M = self.M
-        return np.count_nonzero(M, axis=-1) if isinstance(M, np.ndarray) else np.diff(M.indptr)
+        return entries_of_rows(self.M)
 
     # --- the point z° ---------------------------------------------------------------------------------------
 
@@ -621,9 +620,8 @@ def bound_residuals(M, q, lower, upper, start, tolerance, rows, z, residual):  #
         for i in range(n):
             size = max(size, abs(z[k, i]))
             shift = max(shift, abs(start[k, i]))
-        if (
-            k < M.shape[0]
-        ):  # a component has the number of its first row; rows of `number + n` are not searched yet
+        if k < M.shape[0]:
+            # A component has the number of its first row; rows of `number + n` are not searched yet
             for i in range(n):
                 label[i] = -1.0
             for number in range(n):
@@ -683,9 +681,8 @@ def bound_residuals(M, q, lower, upper, start, tolerance, rows, z, residual):  #
                 away[c] = max(away[c], abs(start[k, i] - moved[i]))
             for c in range(n):
                 limit = min(first[c], counts[c]) * (1.0 - margin * EPSILON)
-                is_right &= high[c] <= 0.5 * tolerance * limit and (
-                    first[c] > 0.0 or away[c] == 0.0
-                )
+                is_right &= high[c] <= 0.5 * tolerance * limit
+                is_right &= first[c] > 0.0 or away[c] == 0.0
                 if is_right and high[c] > 0.0:
                     largest_relative = max(largest_relative, high[c] / limit)
             if is_right or attempt == 0:

@@ -46,7 +46,7 @@ import scipy.sparse as sp
 from numpy.typing import NDArray
 
 from ..core.checks import AnyMatrix, Vector
-from ..core.entries import clip, largest_in_rows, largest_products
+from ..core.entries import clip, entries_of_rows, largest_in_rows, largest_products
 from ..core.kernels.compilation import kernel
 from ..core.kernels.floats import DATA_ROUNDING, NEGLIGIBLE, UNIT
 from ..core.rounding import compensated_product
@@ -120,9 +120,8 @@ class KKTErrors(NamedTuple):
             for is_exact in (True,) if terms.is_one_dense_component else (False, True):
                 point = PrimalDualPoint(program, x, y, is_exact=is_exact)
                 both = point.row_errors(), point.gaps(tolerance or SHARP)
-                errors = cls(
-                    *(float(np.nan_to_num(error.max(initial=0.0), nan=np.inf)) for error in both)
-                )
+                largest = np.nan_to_num([error.max(initial=0.0) for error in both], nan=np.inf)
+                errors = cls(*largest.tolist())
                 if errors.meet(tolerance):
                     break
         return errors
@@ -134,6 +133,12 @@ class ProgramComponents(NamedTuple):
     of_unknown: Indices
     of_row: Indices
     number: int
+
+    def largest(self, sizes: Vector) -> Vector:
+        """Return the largest of the unknowns' sizes ≥ 0 in each component."""
+        most = np.zeros(self.number)
+        np.maximum.at(most, self.of_unknown, sizes)
+        return most
 
 
 class JudgedProgram(NamedTuple):
@@ -237,8 +242,7 @@ class ProgramTerms:
 
     def needed_multipliers(self, slopes: Vector, y: Vector) -> Vector:
         """Return y with 0 in components where the slopes P x + c are 0: no point is better there."""
-        largest = np.zeros(self.components.number)
-        np.maximum.at(largest, self.components.of_unknown, np.abs(slopes))
+        largest = self.components.largest(np.abs(slopes))
         return np.where(largest[self.components.of_row] > 0.0, y, 0.0)
 
     @cached_property
@@ -332,7 +336,8 @@ class PrimalDualPoint:
     @cached_property
     def noise(self) -> Vector:
         """Size below which the side of a row counts as 0, shape (m + p,); 0 unless it has terms, which are all 0."""
-        most = BLUR * self.terms.row_sizes * self._largest(self.of_x)[self.terms.components.of_row]
+        parts = self.terms.components
+        most = BLUR * self.terms.row_sizes * parts.largest(self.of_x)[parts.of_row]
         is_noise = (self.row_terms == self.limits) & (self.limits <= most) & (self.terms.counts > 0)
         return np.where(is_noise, most, 0.0)
 
@@ -381,7 +386,7 @@ class PrimalDualPoint:
     def _gain(self, left: Vector, r: Vector, way: Vector) -> Vector:
         """Return a bound of the gain of moves against a gradient in each component, without curvature; r is |left|."""
         near, far = self._gains(left, r, way)
-        return self._sums(near, np.ones(near.size)) + self._largest(far)
+        return self._sums(near, np.ones(near.size)) + self.terms.components.largest(far)
 
     def _gains(self, left: Vector, r: Vector, way: Vector) -> tuple[Vector, Vector]:
         """Return the gains of each unknown: of moves that add up, and of moves of which one is as long as `way`."""
@@ -420,8 +425,9 @@ class PrimalDualPoint:
         """
         pull = np.abs(self.product + self.program.c) - self.lost
         way = np.minimum(self.x - self.program.lower, self.program.upper - self.x)
-        at_bound = way <= self._of_unknowns(DATA_ROUNDING * self._largest(self.of_x))
-        most = self._largest(np.where(at_bound, 0.0, pull))[self.terms.components.of_row]
+        parts = self.terms.components
+        at_bound = way <= self._of_unknowns(DATA_ROUNDING * parts.largest(self.of_x))
+        most = parts.largest(np.where(at_bound, 0.0, pull))[parts.of_row]
         return np.minimum(self.of_y, most / self.terms.row_sizes)
 
     def _sums(self, a: Vector, b: Vector, of_rows: Any = 0.0, other: Any = 0.0) -> Vector:
@@ -439,13 +445,6 @@ class PrimalDualPoint:
         """Return the value of each unknown's component."""
         return values[self.terms.components.of_unknown]
 
-    def _largest(self, sizes: Vector) -> Vector:
-        """Return the largest size in each component."""
-        parts = self.terms.components
-        most = np.zeros(parts.number)
-        np.maximum.at(most, parts.of_unknown, sizes)
-        return most
-
 
 def least_size(program: JudgedProgram, x: Vector, y: Vector) -> float:
     """Return the size that a value at x has at least, 1e-6 of the rows' terms with the multipliers y."""
@@ -456,9 +455,7 @@ def least_size(program: JudgedProgram, x: Vector, y: Vector) -> float:
 def with_zeros(program: JudgedProgram, x: Vector) -> Vector:
     """Return x with 0 for unknowns at rounding level of the largest of their component; x itself if there are none."""
     parts, sizes = program.terms.components, np.abs(x)
-    largest = np.zeros(parts.number)
-    np.maximum.at(largest, parts.of_unknown, sizes)
-    is_noise = (sizes <= NEGLIGIBLE * largest[parts.of_unknown]) & (x != 0.0)
+    is_noise = (sizes <= NEGLIGIBLE * parts.largest(sizes)[parts.of_unknown]) & (x != 0.0)
     is_noise &= (program.lower <= 0.0) & (program.upper >= 0.0)
     return np.where(is_noise, 0.0, x) if is_noise.any() else x
 
@@ -487,11 +484,6 @@ def curved_step(P: AnyMatrix, r: Vector) -> Vector | None:
 def ratio(errors: Vector, sizes: Vector) -> Vector:
     """Return the quotients, 0 / 0 = 0."""
     return np.where(errors > 0.0, errors / np.maximum(sizes, LEAST_PRICE), errors)
-
-
-def entries_of_rows(matrix: AnyMatrix) -> Indices:
-    """Return the number of nonzeros of each row."""
-    return np.diff(matrix.indptr) if sp.issparse(matrix) else np.count_nonzero(matrix, axis=1)
 
 
 def sharp_errors(program: JudgedProgram, x: Vector, y: Vector) -> KKTErrors:
@@ -531,9 +523,8 @@ def sharp_errors(program: JudgedProgram, x: Vector, y: Vector) -> KKTErrors:
         gap = (MOVES * (r @ of_x) + of_y @ missed) / size + 2.1 * MOVES * np.add.reduce(r / price)
     else:
         of_part = partial(np.bincount, parts.of_unknown, minlength=parts.number)
-        size = np.abs(of_part(c * x)) + np.maximum(
-            np.abs(of_part(x * product)) - of_part(of_x * lost), 0.0
-        )
+        curved = np.maximum(np.abs(of_part(x * product)) - of_part(of_x * lost), 0.0)
+        size = np.abs(of_part(c * x)) + curved
         most = of_part(MOVES * r * of_x) + np.bincount(parts.of_row, of_y * missed, parts.number)
         gap = np.maximum.reduce(most / size + of_part(2.1 * MOVES * r / price))
     return KKTErrors(float(primal), float(gap) if gap < INF else INF)

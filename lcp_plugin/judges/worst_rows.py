@@ -80,30 +80,18 @@ def worst_pairs(
         at = data.rows(measured.z, sharp[0])
     is_cone = getattr(data, "is_cone", False)  # such rows have no bounds
     lower, upper = (np.ravel(np.where(is_cone, np.nan, x)) for x in (data.lower, data.upper))
+    parts = measured.z, at.w, at.terms, at.violation, by_row.relative, by_row.componentwise
     z, w, terms, violation, relative, term_residual = (
-        np.broadcast_to(np.ravel(values), (n,))
-        for values in (
-            measured.z,
-            at.w,
-            at.terms,
-            at.violation,
-            by_row.relative,
-            by_row.componentwise,
-        )
+        np.broadcast_to(np.ravel(values), (n,)) for values in parts
     )
     least = np.maximum(np.where(violation == 0.0, 0.0, relative), term_residual)
     least = np.where(np.isnan(least), math.inf, least)
-    order = np.lexsort((-violation, -least))[:count].tolist()
+    order = np.lexsort((-violation, -least))[:count]
+    columns = [x[order].tolist() for x in (least, violation, terms, z, w, lower, upper)]
     return WorstRows(
-        WorstRow(
-            names.row(i),
-            float(least[i]),
-            float(violation[i]),
-            float(terms[i]),
-            _sides(names, i, float(z[i]), float(w[i]), float(lower[i]), float(upper[i])),
-        )
-        for i in order
-        if least[i] > tolerance
+        WorstRow(names.row(i), residual, missed, size, _sides(names, i, *pair))
+        for i, residual, missed, size, *pair in zip(order.tolist(), *columns, strict=True)
+        if residual > tolerance
     )
 
 

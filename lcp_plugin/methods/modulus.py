@@ -68,30 +68,28 @@ class ModulusBased(Splitting):
 
     def facts(self, problem: LCP) -> IterationFacts:
         """Return α, β, Ω and the sweep."""
-        _require_lower_bounds_only(problem, self.name)
-        diagonal = require_positive_diagonal(problem, self.name)
-        alpha, beta = self.weights()
-        return IterationFacts(
-            family=MODULUS,
-            relaxation=alpha,
-            acceleration=beta,
-            sweep=self.sweep,
-            omega=self._omega(problem, diagonal),
-        )
+        omega = self._checked_omega(problem)
+        return IterationFacts(MODULUS, *self.weights(), self.sweep, omega=omega)
 
     def iterates(self, problem: LCP, z0: Vector) -> Iterator[Step]:
         """Yield z = lower + max(x, 0) of x₀, x₁, …, each with its residual."""
-        _require_lower_bounds_only(problem, self.name)
-        diagonal = require_positive_diagonal(problem, self.name)
-        weights = self.weights()
-        omega = self._omega(problem, diagonal)
-        inverse_pivot = 1.0 / (weights[0] * omega + diagonal)
+        omega, weights = self._checked_omega(problem), self.weights()
+        inverse_pivot = 1.0 / (weights[0] * omega + problem.diagonal)
         q = problem.slack(problem.lower)
         inverse_scale = inverse_residual_scale(problem.matrix)
         rows = np.column_stack([q, problem.lower, inverse_scale, omega, inverse_pivot])
         yield from self.swept(problem, modulus_sweep, rows, weights, z0 - problem.lower, z=z0)
 
-    def _omega(self, problem: LCP, diagonal: Vector) -> Vector:
+    def _checked_omega(self, problem: LCP) -> Vector:
+        """Return Ω, shape (n,); raise UnsuitableProblem for other than lower bounds."""
+        wrong = ~np.isfinite(problem.lower) | (problem.upper != np.inf)
+        if wrong.any():
+            i = int(np.flatnonzero(wrong)[0])
+            raise UnsuitableProblem(
+                f"{self.name} needs a finite lower and no upper bound on every row, but {problem.names.row(i)} has "
+                f'bounds [{problem.lower[i]}, {problem.upper[i]}]; try algorithm="auto"'
+            )
+        diagonal = require_positive_diagonal(problem, self.name)
         if np.ndim(self.omega) == 0:
             return float(self.omega) * diagonal  # type: ignore[arg-type]
         need = f"{self.name}: omega must be a positive multiple of the diagonal, or a vector of length {problem.n}"
@@ -103,16 +101,6 @@ class ModulusBased(Splitting):
                 f"{self.name}: omega must be positive and finite, but omega[{i}] = {omega[i]}"
             )
         return omega
-
-
-def _require_lower_bounds_only(problem: LCP, name: str) -> None:
-    wrong = ~np.isfinite(problem.lower) | (problem.upper != np.inf)
-    if wrong.any():
-        i = int(np.flatnonzero(wrong)[0])
-        raise UnsuitableProblem(
-            f"{name} needs a finite lower and no upper bound on every row, but {problem.names.row(i)} has bounds "
-            f'[{problem.lower[i]}, {problem.upper[i]}]; try algorithm="auto"'
-        )
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)

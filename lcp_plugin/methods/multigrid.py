@@ -294,11 +294,10 @@ class GridProblem:
         self.whole = np.zeros(grid.width)  # the residual and its ghosts
         self.residual = self.whole[: grid.n]
 
-    def sweep(self, z: Vector, backward: bool, relaxation: float = 1.0) -> None:
-        """Overwrite z, shape (width,), by one projected sweep."""
-        grid = self.grid
-        grid.halo.fetch(z)
-        kernels.projected_sweep(grid.rows, grid.blocks, self.vectors, relaxation, backward, z)
+    def sweep(self, z: Vector, **how: Any) -> None:
+        """Overwrite z, shape (width,), by one projected sweep, backward or relaxed if so wanted."""
+        self.grid.halo.fetch(z)
+        kernels.sweep(self.grid.rows, self.grid.blocks, self.vectors, z, **how)
 
 
 COARSEST_SWEEPS = 50  # of the coarsest grid, which has few rows
@@ -580,7 +579,7 @@ class MultigridRun(ProjectedCycles):
         fine = self.problems[0]
         for _ in range(20):
             before = z.copy()
-            kernels.projected_sweep(fine.grid.rows, fine.grid.blocks, fine.vectors, 1.0, False, z)
+            fine.sweep(z, backward=False)
             change = span(before - z)
             self.work += fine.entries
             yield Step(z, increment=change, work=self.take_work())

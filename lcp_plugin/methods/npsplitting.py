@@ -86,12 +86,11 @@ class NPSplitting(ScaledByRows):
 
     def facts(self, problem: LCP) -> IterationFacts:
         """Return 𝓜, S, and whether 𝓜 is a part of M."""
-        splitting = self._matrix(problem)
         return IterationFacts(
-            family=PROJECTED_SPLITTING,
+            PROJECTED_SPLITTING,
             has_momentum=self.momentum is not None,
+            splitting=self._matrix(problem),
             scaling=self.row_scaling(problem),
-            splitting=splitting,
             is_part_of_matrix=isinstance(self.splitting, str),
         )
 

@@ -161,25 +161,24 @@ def sweep(problem: RowsOnRanks, z: Vector, relaxation: float = 1.0) -> Iterates:
     if problem.is_symmetric and not halo.is_empty:
         pivots = pivots + pivot_weight(M, halo, relaxation)
     rows = np.column_stack([problem.q, problem.lower, problem.upper, 1.0 / pivots])
-    split, x = split_rows(M), halo.whole(z)
+    arrays, x = split_rows(M), halo.whole(z)
     yield x[: problem.own], 0.0
     while True:
         halo.fetch(x)
-        relaxation_sweep(M.indptr, split, M.indices, M.data, rows, relaxation, False, x)
+        relaxation_sweep(*arrays, rows, relaxation, False, x)
         yield x[: problem.own], 1.0
 
 
 def projected_type(problem: RowsOnRanks, z: Vector, algorithm: ProjectedType) -> Iterates:
     """Yield iterates of NPAOR, (D/α + D + 2S⁻¹ − (β/α) L)(z⁺ − z) = −2 S⁻¹ r(z), with S = 1/d."""
     alpha, beta = algorithm.weights()
-    halo, M, d = problem.halo, problem.rows, problem.residual_scale
-    step = 1.0 / d
+    halo, step = problem.halo, 1.0 / problem.residual_scale
     pivot = step * problem.diagonal * (1.0 / alpha + 1.0) + 2.0
     if not halo.everywhere(pivot > 0.0):
         raise UnsuitableMatrix("an NP sweep needs m_ii/(α d_i) + m_ii/d_i + 2 > 0 in every row")
     bounds = problem.lower, problem.upper
     rows = np.column_stack([problem.q, *bounds, step, step, 1.0 / pivot])
-    split, x = split_rows(M), halo.whole(z)
+    arrays, x = split_rows(problem.rows), halo.whole(z)
     yield x[: problem.own], 0.0
     lower, upper = map(read_only, bounds)
     unit = step_unit(halo.largest(np.abs(problem.q * step)))
@@ -187,9 +186,7 @@ def projected_type(problem: RowsOnRanks, z: Vector, algorithm: ProjectedType) ->
     while True:
         halo.fetch(x)
         new[problem.own :] = x[problem.own :]
-        _, squares = splitting_sweep(
-            M.indptr, split, M.indices, M.data, rows, beta / alpha, True, unit, False, x, new
-        )
+        _, squares = splitting_sweep(*arrays, rows, beta / alpha, True, unit, False, x, new)
         x, new = (new, x) if points is None else points.send((new, x, squares))
         yield x[: problem.own], 1.0
 

@@ -189,8 +189,8 @@ COMPILE = """
     from lcp_plugin.core.kernels import splitting_sweeps as kernels
     print(kernels.__file__)
     problem = LCP([[2, 1], [1, 2]], [-5, 1])
-    from lcp_plugin.core.sweep_data import row_splits
-    print(*row_splits(problem.matrix, False))
+    from lcp_plugin.core.sweep_data import split_matrix
+    print(*split_matrix(problem.matrix, False)[1])
 """
 SOLVE = COMPILE + "    print(solve(problem, 'npsor').z)"
 

@@ -31,7 +31,7 @@ import numpy as np
 import scipy.sparse as sp
 from numpy.typing import NDArray
 
-from ...core.checks import AnyMatrix, Array, BoolVector, Vector, read_only
+from ...core.checks import AnyMatrix, BoolVector, Vector, read_only
 from ...core.kernels.compilation import inline, kernel, uintp
 from ...core.kernels.rows import clamp
 from ...core.kernels.threads import share
@@ -51,20 +51,17 @@ def product(
 
     An entry that cancels is stored, because it may not cancel in the truncated product.
     """
-    width = prolongation.indptr.size - 1
-    pattern = (
-        pattern_of(restriction, matrix.indptr.size - 1)
-        @ pattern_of(matrix, width)
-        @ pattern_of(prolongation, columns)
-    )
+    width, parts = prolongation.indptr.size - 1, (matrix, prolongation, restriction)
+    M, P, R = map(pattern_of, parts, (width, columns, matrix.indptr.size - 1))
+    pattern = R @ M @ P
     pattern.sort_indices()
     entries = Operator(pattern.indptr, pattern.indices, np.zeros(pattern.nnz))
     split, inverse = pivots(entries, INVERTIBLE)
-    values = np.empty(pattern.nnz)
-    all_rows, flags = np.ones(width, np.bool_), (np.zeros(columns, np.bool_) for _ in range(3))
+    values, all_rows = np.empty(pattern.nnz), np.ones((2, width), np.bool_)
+    flags = np.zeros((3, columns), np.bool_)
     coarse = *entries.arrays[:2], values, split, inverse.copy(), *flags
-    parts = matrix.arrays, (all_rows, all_rows.copy()), prolongation.arrays, restriction.arrays
-    update_product(*parts, coarse)
+    operands = prolongation.arrays, restriction.arrays, coarse
+    update_product(matrix.arrays, tuple(all_rows), *operands)
     return Operator(pattern.indptr, pattern.indices, values)
 
 
@@ -172,62 +169,26 @@ Matrix = tuple[NDArray[Any], NDArray[Any], NDArray[Any], Vector]
 NO_BOUNDS = (read_only(np.zeros(0)),) * 2
 
 
-def first_sweep(rows: Matrix, blocks: RowBlocks, inverse: Vector, b: Vector, x: Vector) -> None:
-    """Overwrite x by one forward Gauss–Seidel sweep for M x = b from x = 0.
-
-    Cost: a pass over the lower triangle, and over full rows by which an odd block is coupled to the next even block.
-    """
-    for edge in blocks.edges[2::2].tolist():
-        x[edge - blocks.reach : edge] = 0.0
-    vectors = read_only(inverse), read_only(b), *NO_BOUNDS
-    _swept(rows, rows[1], blocks, vectors, -1.0, 1.0, True, False, x)
-
-
 def residual_after_first_sweep(
     rows: Matrix, blocks: RowBlocks, inverse: Vector, b: Vector, x: Vector, residual: Vector
 ) -> None:
-    """Write b − M x after `first_sweep` into `residual`: row i was exact until later rows changed."""
-    split, reach = rows[1], blocks.reach
-    operands = x, residual
-    shared(_product_of(rows, split, 1, inverse, -1.0, read_only(b), 0.0, *operands), inverse.size)
-    whole = _product_of(rows, rows[0], 0, inverse, -1.0, read_only(b), 1.0, *operands)
+    """Write b − M x after the first sweep into `residual`: row i was exact until later rows changed."""
+    operands = read_only(inverse), -1.0, read_only(b)
+    shared(_product_of(rows, rows[1], 1, *operands, 0.0, x, residual), inverse.size)
+    whole = _product_of(rows, rows[0], 0, *operands, 1.0, x, residual)
     for edge in blocks.edges[2:-1:2].tolist():  # next to these edges, other rows changed before
-        whole(edge - reach, edge + reach)
+        whole(edge - blocks.reach, edge + blocks.reach)
 
 
 def free_product(rows: Matrix, inverse: Vector, x: Vector, product: Vector) -> None:
     """Product ← M x on the free rows, 0 elsewhere."""
-    operands = 1.0, read_only(inverse), 0.0, x, product
-    shared(_product_of(rows, rows[0], 0, inverse, *operands), inverse.size)
+    inverse = read_only(inverse)
+    shared(_product_of(rows, rows[0], 0, inverse, 1.0, inverse, 0.0, x, product), inverse.size)
 
 
-def _product_of(rows: Matrix, begins: Any, further: int, inverse: Array, *operands: Any) -> Any:
-    """Return a function that computes some rows of `_products`; the operands are sign, b, weight, x, product."""
-    indptr, _, *entries = rows
-    return partial(_products, indptr, begins, further, *entries, read_only(inverse), *operands)
-
-
-def sweep(
-    rows: Matrix, blocks: RowBlocks, inverse: Vector, backward: bool, b: Vector, x: Vector
-) -> None:
-    """Overwrite x by one Gauss–Seidel sweep for M x = b."""
-    vectors = read_only(inverse), read_only(b), *NO_BOUNDS
-    _swept(rows, rows[0][1:], blocks, vectors, -1.0, 1.0, False, backward, x)
-
-
-def projected_sweep(
-    rows: Matrix,
-    blocks: RowBlocks,
-    vectors: tuple[Vector, ...],
-    relaxation: float,
-    backward: bool,
-    z: Vector,
-) -> None:
-    """Overwrite z row by row, z_i ← mid(l_i, u_i, z_i − relaxation inverse_i w_i) with w_i from the current z.
-
-    `vectors` are the inverse pivots, q, lower and upper, read-only.
-    """
-    _swept(rows, rows[0][1:], blocks, vectors, 1.0, relaxation, False, backward, z)
+def _product_of(rows: Matrix, begins: Any, further: int, *operands: Any) -> Any:
+    """Return a function of some rows, `_products`; the operands are inverse, sign, b, weight, x, product."""
+    return partial(_products, rows[0], begins, further, *rows[2:], *operands)
 
 
 def free_rows(
@@ -245,9 +206,8 @@ def free_rows(
     """
     matrix = rows[0], *rows[2:]
     piece = partial(_free_rows, matrix, vectors, z, is_free, is_changed, residual)
-    results = shared(piece, residual.size)
-    largest = np.max([size for size, _ in results])  # a NaN kept
-    return float(largest), int(sum(changed for _, changed in results))
+    largest, changed = zip(*shared(piece, residual.size), strict=True)
+    return float(np.max(largest)), int(sum(changed))  # a NaN kept
 
 
 def shared(work: Callable[[int, int], Any], rows: int) -> list[Any]:
@@ -255,21 +215,29 @@ def shared(work: Callable[[int, int], Any], rows: int) -> list[Any]:
     return share(work, rows, SHARED_FROM)
 
 
-def _swept(
+def sweep(
     rows: Matrix,
-    ends: Array,
     blocks: RowBlocks,
     vectors: tuple[Vector, ...],
-    sign: float,
-    relaxation: float,
-    is_first: bool,
-    backward: bool,
     x: Vector,
+    *,
+    backward: bool = False,
+    is_first: bool = False,
+    relaxation: float = 1.0,
 ) -> None:
-    """Sweep the blocks of one color and then the blocks of the other color; the entries of row i end before ends[i]."""
+    """Overwrite x row by row: x_i ← mid(l_i, u_i, x_i − relaxation inverse_i (M x + q)_i) with the current x.
+
+    `vectors` are the inverse pivots, q, lower and upper, or the inverse pivots and b of a linear system M x = b.
+    The first sweep for M x = b begins with x = 0. It costs a pass over the lower triangle, and over full rows by which
+    an odd block is coupled to the next even block.
+    """
     indptr, *entries = rows
+    sign, ends = 1.0 if len(vectors) > 2 else -1.0, rows[1] if is_first else indptr[1:]
+    vectors = (*map(read_only, vectors), *NO_BOUNDS)[:4]
     operands = tuple(entries), vectors, (sign, relaxation, is_first, backward), x
     edges, block_ends = blocks.edges, blocks.edges[1:]
+    for edge in edges[2::2].tolist() if is_first else ():
+        x[edge - blocks.reach : edge] = 0.0
 
     def piece(color: int, first: int, last: int) -> None:
         # In the first sweep, so many rows at the end of an odd block need all their entries.
@@ -371,7 +339,7 @@ AT_ONCE = 8192  # terms that are summed in one piece, too few for BLAS to share;
 
 
 def dot(x: Vector, y: Vector) -> float:
-    """Return Σ one_i other_i."""
+    """Return Σ x_i y_i."""
     sums = np.zeros(-(-x.size // AT_ONCE))
 
     def sum_pieces(first: int, end: int) -> None:

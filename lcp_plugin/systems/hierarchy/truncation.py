@@ -198,26 +198,29 @@ class Truncation:
     def correct(self, k: int) -> None:
         """Write into x one V(1,1)-cycle for the truncated M x = b of grid k, from x = 0."""
         level = self.grids[k]
-        grid, rows, entries = level.grid, level.rows, level.values.size
+        grid, entries, vectors = level.grid, level.values.size, (level.inverse, level.b)
         if k == len(self.transfers) and self._solves_directly(level):
             return
-        blocks = grid.blocks
-        kernels.first_sweep(rows, blocks, level.inverse, level.b, level.x)
+        operands = level.rows, grid.blocks
+        kernels.sweep(*operands, vectors, level.x, is_first=True)
         self.work += 0.5 * entries
         if k == len(self.transfers):
-            self._solve_coarsest(level)
+            for count in range(CLOSING_SWEEPS):
+                grid.halo.fetch(level.x)
+                kernels.sweep(*operands, vectors, level.x, backward=count % 2 == 0)
+            self.work += CLOSING_SWEEPS * entries
             return
-        level.grid.halo.fetch(level.x)
+        grid.halo.fetch(level.x)
         residual = level.residual[: grid.n]
-        kernels.residual_after_first_sweep(rows, blocks, level.inverse, level.b, level.x, residual)
+        kernels.residual_after_first_sweep(*operands, *vectors, level.x, residual)
         level.add_pivot_weights(residual)
         self.restrict(k, level.residual)
         self.correct(k + 1)
         below, transfer = self.grids[k + 1], self.transfers[k]
         below.grid.halo.fetch(below.x)
         kernels.prolong(transfer, below.x, level.is_interpolated, level.x)
-        level.grid.halo.fetch(level.x)
-        kernels.sweep(rows, blocks, level.inverse, True, level.b, level.x)
+        grid.halo.fetch(level.x)
+        kernels.sweep(*operands, vectors, level.x, backward=True)
         self.work += 1.5 * entries + 2.0 * transfer.prolongation.data.size
 
     def restrict(self, k: int, residual: Vector) -> None:
@@ -240,13 +243,6 @@ class Truncation:
         self.work += factor.solve_work
         level.x[:] = x
         return bool(np.isfinite(x).all())
-
-    def _solve_coarsest(self, level: TruncatedGrid) -> None:
-        for sweep in range(CLOSING_SWEEPS):
-            level.grid.halo.fetch(level.x)
-            backward, blocks = sweep % 2 == 0, level.grid.blocks
-            kernels.sweep(level.rows, blocks, level.inverse, backward, level.b, level.x)
-        self.work += CLOSING_SWEEPS * level.values.size
 
 
 class KrylovCorrection:

@@ -10,7 +10,8 @@ try:
     import torch
 except ImportError:
     raise ImportError(
-        "lcp_plugin.interfaces.learn.torch needs PyTorch; install it with: pip install torch"
+        "lcp_plugin.interfaces.learn.torch needs PyTorch; install it with: pip install torch "
+        "(or lcp_plugin[torch])"
     ) from None
 
 from ...core.checks import AnyMatrix, Array, real_array

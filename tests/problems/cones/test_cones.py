@@ -630,7 +630,7 @@ def test_components_that_are_solved_alone_are_seen_by_the_callback():
 
 
 def test_warm_steps_of_a_pile_obey_their_limit(monkeypatch):
-    """A limit that is over at the second look at the clock ends 17 steps from a bad start, with the best point so far."""
+    """A limit that is over at the second look ends 17 steps from a bad start, with the best point so far."""
     *contacts, velocities = poured(60, 0)
     problem = FrictionalContact(tuple(contacts), velocities, 0.4)
     monkeypatch.setattr("lcp_plugin.core.deadline.time.perf_counter", count().__next__)

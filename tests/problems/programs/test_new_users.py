@@ -170,7 +170,7 @@ def test_a_sparse_program_of_six_thousand_rows_and_variables_is_proved_unbounded
 
 @pytest.mark.full
 def test_the_search_for_a_proof_against_a_huge_point_ends():
-    """A nearly singular matrix: x is of size 1e9; the simplex method of the search, which repeats its vertices, is cut off."""
+    """A nearly singular matrix, x of size 1e9: the simplex method of the search, which repeats vertices, is cut off."""
     rng = np.random.default_rng(1)
     rows = sp.random_array((1_000, 1_000), density=3e-3, rng=rng, format="csr")
     x, y = rng.random((2, 1_000))

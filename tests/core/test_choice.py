@@ -6,15 +6,7 @@ import numpy as np
 import pytest
 import scipy.sparse as sp
 
-from lcp_plugin import LCP, QuadraticProgram, Result, Status, solve
-
-
-def names(result: Result) -> list[str]:
-    return [stage.name for stage in result.stages]
-
-
-# --- The second table --------------------------------------------------------------------------------------------
-
+from lcp_plugin import LCP, QuadraticProgram, Status, solve
 
 # --- What runs end with ------------------------------------------------------------------------------------------
 

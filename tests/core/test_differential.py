@@ -13,7 +13,6 @@ from lcp_plugin import LCP, Status, UnsuitableMatrix, UnsuitableProblem, solve
 from lcp_plugin.algorithms import REGISTRY
 from lcp_plugin.strategies import h_plus_matrices, solved_lcps
 
-SEEDS = st.integers(0, 2**32 - 1)
 ALL = ["auto", *REGISTRY]
 
 

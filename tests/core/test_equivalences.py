@@ -110,9 +110,6 @@ def test_the_residual_of_a_step_is_the_residual_of_its_certificate(name):
             assert step.residual == pytest.approx(exact, rel=1e-11)
 
 
-# --- Bounds and shifts -------------------------------------------------------------------------------------
-
-
 # --- Order of the rows -------------------------------------------------------------------------------------
 
 

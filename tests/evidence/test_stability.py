@@ -135,23 +135,7 @@ def test_tolerance_zero_ends_at_the_rounding_level(name):
     assert_honest(result)
 
 
-# --- Nearly singular ---------------------------------------------------------------------------------------
-
-
-def nearly_singular(bits: int) -> tuple[LCP, np.ndarray]:
-    """Return an H₊-matrix with ρ = 1 − 2⁻ᵇⁱᵗˢ, a solution of moderate size and a tiny q."""
-    rho = 1.0 - 2.0**-bits
-    M, exact = np.array([[1.0, -rho], [-rho, 1.0]]), np.array([1.0, 2.0])
-    return LCP(M, -(M @ exact)), exact
-
-
 # --- The automatic relaxation where a large one is a trap -------------------------------------------------------
-
-
-def ring(n: int, weight: float) -> LCP:
-    """A strictly dominant M-matrix on which one sweep with a relaxation near 2 can amplify by (2 weight)ⁿ."""
-    M = np.eye(n) - weight * np.roll(np.eye(n), -1, axis=1)
-    return LCP(M, -M @ np.arange(1.0, n + 1.0))
 
 
 @pytest.mark.parametrize("name", ["pj", "mj"])

@@ -171,24 +171,6 @@ def test_an_infinite_bound_is_no_bound(cap):
     np.testing.assert_allclose(best.dual_value, [2 * (3 - expected), np.zeros(2)])
 
 
-INFINITE = {
-    "unbounded": ([-1.0, -1.0], lambda x: x[0] + x[1] <= np.inf, None),
-    "scaled": (
-        [1e6, 3.0],
-        lambda x: cp.multiply([1e25, 1.0], x) <= np.array([np.inf, 2.0]),
-        [0, 2],
-    ),
-    "some rows": ([3.0, 3.0], lambda x: np.ones((2, 2)) @ x <= np.array([np.inf, 2.0]), [0, 4]),
-    "a kink": ([3.0, 3.0], lambda x: cp.abs(x) <= np.array([np.inf, 2.0]), [0, 2]),
-    "of constants": (
-        [3.0, 3.0],
-        lambda x: x + x <= cp.minimum([np.inf, np.inf], [np.inf, 2.0]),
-        [0, 2],
-    ),
-    "matrix": ([3.0, 3.0], lambda x: x[:, None] <= np.array([[np.inf], [2.0]]), [[0], [2]]),
-}
-
-
 def set_value(parameter: cp.Parameter, value: float) -> cp.Parameter:
     """Set the value; skip the test if cvxpy raises ValueError for ∞ (up to 1.8)."""
     try:
@@ -294,9 +276,6 @@ def test_a_program_without_an_objective_is_a_feasibility_problem():
     best = optimal(cp.Problem(cp.Minimize(0), [x[0] >= 1, cp.sum(x) == y]), over=[x])
     solved([best], [y == 2])
     assert [float(one) for one in best.dual_value] == pytest.approx([0.0, 0.0])
-
-
-U = cp.Variable(3)
 
 
 @pytest.mark.parametrize("form", ["sum_squares", "quad_form", "products", "expanded"])

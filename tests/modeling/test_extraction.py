@@ -240,15 +240,6 @@ def test_deep_and_long_sums_do_not_recurse():
     np.testing.assert_array_equal(affine_map(nested).blocks[x.id].toarray(), 2 * np.eye(2))
 
 
-def stacked(n, are_apart):
-    """Return n scalar rows of one variable or of n scalar ones, and what these are."""
-    scalars, x = [cp.Variable() for _ in range(n)], cp.Variable(n)
-    each = scalars if are_apart else x
-    return cp.hstack([2 * each[i] - each[i - 1] + i for i in range(n)]), scalars if are_apart else [
-        x
-    ]
-
-
 def test_sparse_data_never_become_dense():
     """Constants of 10¹⁰ entries, nearly all zero, are transposed, scaled and multiplied as sparse; so are stacks."""
     n = 100_000

@@ -153,7 +153,6 @@ ROUNDED: dict[str, Relation] = {
     "rows by any factors": rows_by_any_factors,
     "columns by any factors": columns_by_any_factors,
 }
-RELATIONS: dict[str, Relation] = {**EXACT, **ROUNDED}
 
 
 # --- What belongs to the caller -------------------------------------------------------------------------------------

@@ -162,12 +162,6 @@ def test_an_unsuitable_matrix_is_rejected():
             error_bound(LCP(M, [1, 1]), [0, 0])
 
 
-EXTREMES = [0.0, 5e-324, 2.0**-1022, 1.0, 1.0 + 2.0**-52, np.pi, 1.7e308, 1.7976931348623157e308]
-DOUBLES = st.floats(allow_nan=False, allow_infinity=False) | st.sampled_from(
-    EXTREMES + [-x for x in EXTREMES]
-)
-
-
 # --- The stages of an error bound, each alone ---
 
 CIRCULANT = [[4.0, 3.0, 3.0], [3.0, 4.0, 3.0], [3.0, 3.0, 4.0]]  # definite, λ_min = 1, no H-matrix

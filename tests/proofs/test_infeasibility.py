@@ -2,10 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
-from fractions import Fraction
-from typing import Any
-
 import numpy as np
 import pytest
 import scipy.sparse as sp
@@ -13,9 +9,9 @@ from hypothesis import given
 from hypothesis import strategies as st
 from oracles.truth import is_farkas
 
-from lcp_plugin import LCP, Certificate, ConeProblem, QuadraticProgram, Status, solve
+from lcp_plugin import LCP, Certificate, QuadraticProgram, Status, solve
 from lcp_plugin.methods.search import NoSolution, search
-from lcp_plugin.proofs.no_solution import Case, Infeasibility, find_infeasibility
+from lcp_plugin.proofs.no_solution import Infeasibility, find_infeasibility
 
 
 def contradicting(rng: np.random.Generator, n: int, free: int = 0, boxes: int = 0) -> LCP:
@@ -184,50 +180,6 @@ def test_a_contradiction_between_numbers_of_many_sizes_is_found():
     assert proof is not None
     assert proof.verify()
     assert 4.9e-8 <= proof.margin <= 5.464917115040035e-08  # a point attains this violation
-
-
-PROOFS: dict[
-    str, tuple[Callable[[], Any], dict[str, Any]]
-] = {  # a proof, and wrong values of its fields
-    "infeasible LCP": (
-        lambda: solve(LCP([[-1.0, 0.0], [0.0, 1.0]], [-1.0, 2.0])).proof,
-        {"problem": LCP(np.eye(2), [-1.0, 2.0]), "exact_y": (Fraction(0), Fraction(1))},
-    ),
-    "LCP without a solution": (
-        lambda: solve(LCP([[0.0, 1.0], [1.0, 0.0]], [-1.0, 1.0])).proof,
-        {"problem": LCP(np.eye(2), [-1.0, 1.0]), "tree": Case()},
-    ),
-    "infeasible program": (
-        lambda: solve(QuadraticProgram(None, [0.0], [[1.0]], [-1.0], lower=0.0)).proof,
-        {
-            "program": QuadraticProgram(None, [0.0], [[1.0]], [1.0], lower=0.0),
-            "multipliers": (Fraction(1), Fraction(0), Fraction(0)),
-        },
-    ),
-    "unbounded program": (
-        lambda: solve(QuadraticProgram(None, [-1.0], [[-1.0]], [1.0])).proof,
-        {
-            "program": QuadraticProgram(None, [-1.0], [[1.0]], [1.0]),
-            "point": (Fraction(-9),),
-            "direction": (Fraction(-1),),
-        },
-    ),
-    "problem over a cone": (
-        lambda: solve(ConeProblem(-np.eye(3), [-1.0, 0.0, 0.0], [("second_order", 3)])).proof,
-        {
-            "problem": ConeProblem(np.eye(3), [-1.0, 0.0, 0.0], [("second_order", 3)]),
-            "y": np.array([-1.0, 0.0, 0.0]),
-        },
-    ),
-    "conflict": (
-        lambda: solve(QuadraticProgram(None, [0.0], [[1.0]], [-1.0], lower=0.0)).conflict,
-        {
-            "rows": QuadraticProgram(None, [0.0], [[1.0]], [1.0], lower=0.0).constraints.as_rows,
-            "multipliers": {0: Fraction(1)},
-        },
-    ),
-}
-NO_CLAIM = {"nodes", "name", "is_irreducible"}
 
 
 def decimal_network(rng: np.random.Generator, n: int) -> np.ndarray:

@@ -12,7 +12,7 @@ import qpsolvers
 import scipy.sparse as sp
 from inputs.published_problems import FOLDER, PROGRAMS, PublishedProgram
 
-from lcp_plugin import QPSolver, QuadraticProgram, certify, solve, solve_batch
+from lcp_plugin import QPSolver, QuadraticProgram, certify, solve
 from lcp_plugin.interfaces.program_files import load_program
 from lcp_plugin.interfaces.qpsolvers import register_with_qpsolvers
 
@@ -79,16 +79,6 @@ def in_cvxpy(of: PublishedProgram, name: str, are_rows: bool = False) -> Answer:
 
 def in_cvxpy_by_rows(of: PublishedProgram, name: str) -> Answer:
     return in_cvxpy(of, name, are_rows=True)
-
-
-def in_a_batch(of: PublishedProgram, name: str) -> Answer:
-    """Solve the program in a batch with a copy of twice the objective."""
-    G, h, A, b, lower, upper = one_sided(of)
-    found = solve_batch(
-        [QuadraticProgram(scale * of.P, scale * of.q, G, h, A, b, lower, upper) for scale in (1, 2)]
-    )
-    assert abs(found[1].objective / 2 - found[0].objective) <= TOLERANCE * abs(of.value)
-    return found[0].x, found[0].objective + of.r
 
 
 WAYS: list[Callable[[PublishedProgram, str], Answer]] = [

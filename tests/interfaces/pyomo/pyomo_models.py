@@ -206,19 +206,6 @@ def braess() -> Published:
     return Published(m, [*each(m.flow), m.time], answers=[[2, 2, 2, 92]], digits=1e-8)
 
 
-def on_grid(size: int) -> tuple[Any, np.ndarray, np.ndarray]:
-    """The five-point −h² Δ on size² interior points of the unit square, and these."""
-    second = sp.diags_array(
-        [-np.ones(size - 1), 2 * np.ones(size), -np.ones(size - 1)], offsets=[-1, 0, 1]
-    )
-    x, y = (part.ravel() for part in np.meshgrid(*2 * (np.arange(1, size + 1) / (size + 1),)))
-    return (
-        sp.csr_array(sp.kron(sp.eye_array(size), second) + sp.kron(second, sp.eye_array(size))),
-        x,
-        y,
-    )
-
-
 @published
 def signorini() -> Published:
     """A. Signorini (1933), a loaded rod before a wall: u = 0.8 x − x²/2, and the wall presses by 0.2."""

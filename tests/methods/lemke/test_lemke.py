@@ -145,29 +145,6 @@ def test_degenerate_assignments_end_in_an_optimum(k, seed):
     assert costs.ravel() @ result.require_solved().z[: k * k] == pytest.approx(best, rel=1e-12)
 
 
-def rank_deficient(g: np.random.Generator, n: int) -> np.ndarray:
-    J = g.integers(-2, 3, size=(n, n // 3)).astype(float)
-    return J @ J.T
-
-
-def skew(g: np.random.Generator, n: int) -> np.ndarray:
-    S = g.integers(-3, 4, size=(n, n)).astype(float)
-    return S - S.T
-
-
-def ill_conditioned(g: np.random.Generator, n: int) -> np.ndarray:
-    Q = np.linalg.qr(g.standard_normal((n, n)))[0]
-    return (Q * np.logspace(-8, 0, n)) @ Q.T
-
-
-MONOTONE: dict[str, Callable[[np.random.Generator, int], np.ndarray]] = {
-    "rank-deficient": rank_deficient,
-    "skew": skew,
-    "ill-conditioned": ill_conditioned,
-    "strictly copositive": lambda g, n: g.integers(0, 4, size=(n, n)) + np.eye(n),
-}
-
-
 def test_a_row_that_completes_free_rows_keeps_its_value():
     """Next to a second component: no value is moved to a bound because it is small in the units of the path."""
     M = np.zeros((5, 5))

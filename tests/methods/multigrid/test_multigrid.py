@@ -2,9 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
-from typing import Any
-
 import numpy as np
 import pytest
 import scipy.sparse as sp
@@ -212,13 +209,6 @@ def test_stiff_layers_and_long_chains_need_few_cycles(n, contrast):
 
 
 # --- The theorem on projected multigrid ---
-
-WAYS: dict[str, Callable[[np.ndarray, np.random.Generator], Any]] = {
-    "random": lambda x, generator: generator.normal(size=x.size) * np.abs(x).max(initial=0.0),
-    "zero": lambda x, generator: 0.0,
-    "a million times too large": lambda x, generator: 1e6 * x,
-    "no number": lambda x, generator: np.nan,
-}
 
 
 def test_a_row_at_a_bound_stays_there_in_units_that_differ():

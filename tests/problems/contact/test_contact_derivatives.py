@@ -41,11 +41,6 @@ def stated(data: dict[str, Any]) -> LCP:
     )
 
 
-def impulses(problem: LCP, z: Any) -> np.ndarray:
-    motion = problem.origin.recover(z)
-    return np.column_stack([motion.normal, motion.tangential]).ravel()
-
-
 def test_a_gap_is_what_a_contact_may_lose_in_a_step():
     """Gaps beside a mass matrix, beside W, and gap / time step added by hand to contacts' velocities are the same."""
     for seed in range(6):

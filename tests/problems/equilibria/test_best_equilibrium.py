@@ -146,19 +146,6 @@ def test_the_conflict_is_the_one_of_the_linear_constraints(status):
     assert result.conflict is None or result.conflict.verify()
 
 
-NO_CLAIM = {
-    "programs",
-    "outside",
-    "algorithm",
-    "iterations",
-    "seconds",
-    "history",
-    "stages",
-    "begun",
-    "agents",
-}
-
-
 def test_a_search_that_ends_before_it_finds_a_point_keeps_the_values(monkeypatch):
     """The status is user_limit, variables keep what they hold, and a bound of (y − x)² + x² + 1 is one."""
     monkeypatch.setattr(BranchAndBound, "solve_nearest_piece", lambda self, x, cases=None: None)

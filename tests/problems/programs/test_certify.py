@@ -25,7 +25,6 @@ from lcp_plugin.strategies import convex_qps
 INF = np.inf
 
 
-SEEDS = {"redundant": (311,), "fixed": (118, 278)}  # with large multipliers in an earlier version
 SIMPLE = QuadraticProgram([[2, 0], [0, 2]], [-2, -4], G=[[1, 1]], h=[2])
 
 
@@ -345,7 +344,6 @@ def test_optimal_and_infeasible_are_never_both_proved(miss):
     assert ("only" in claimed.reason) == (miss < 1e-6)
 
 
-# --- Components of the proofs
 # --- cvxpy -------------------------------------------------------------------------------------------------------
 
 

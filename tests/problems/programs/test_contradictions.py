@@ -2,12 +2,9 @@
 
 from __future__ import annotations
 
-from typing import Any
-
 import cvxpy as cp
 import numpy as np
 import pytest
-import scipy.sparse as sp
 
 from lcp_plugin import (
     EquilibriumProgram,
@@ -19,16 +16,6 @@ from lcp_plugin import (
 )
 
 INF = np.inf
-N = 401  # nodes of a graph
-
-
-def differences(parents: Any) -> sp.csr_array:
-    """One row an arc of a tree: 1 at its node, −1 at the node before."""
-    nodes, ones = np.arange(1, N), np.ones(N - 1)
-    rows = np.concatenate([nodes, nodes]) - 1
-    return sp.csr_array(
-        (np.concatenate([-ones, ones]), (rows, np.concatenate([parents, nodes]))), shape=(N - 1, N)
-    )
 
 
 @pytest.mark.parametrize("algorithm", ["auto", "daqp", "lemke"])

@@ -257,7 +257,7 @@ def test_bimatrix_games(name):
 
 # --- Errors, and data that are not modified -------------------------------------------------------------------
 
-EYE, QP, INVALID = np.eye(2), QuadraticProgram, InvalidProblem
+EYE, QP = np.eye(2), QuadraticProgram
 game = LCP.from_game
 
 
@@ -455,13 +455,7 @@ def test_a_direction_of_descent_beside_fixed_variables_is_proved():
 
 # --- Properties of a program's matrices are computed once, and are shared ---
 
-NAMES = ("P", "c", "G", "h", "A", "b", "lower", "upper")
 VECTORS = ("c", "h", "b", "lower", "upper")
-
-
-def afresh(given: QuadraticProgram) -> QuadraticProgram:
-    """Return the program of the same data that shares nothing."""
-    return QuadraticProgram(**{name: getattr(given, name) for name in NAMES})
 
 
 @pytest.mark.parametrize("name", VECTORS)

@@ -64,7 +64,6 @@ LEAST_SIZE = 1e-6  # of the rows' terms with their multipliers
 MOVES = 1000.0  # times its size, an unknown without a bound is moved
 SMALLEST_SIZE = 2.0**-900  # of the gap: if all terms are 0, gradients are relative to their terms
 SHARP = 32.0 * MOVES * UNIT  # per unknown and row: below this gap, plain sums show no error
-SAFETY = 5.0  # times the bounds of rounding errors, in the compiled test
 INF = float("inf")
 LEAST_PRICE = 2.0**-1000  # quotients by it are finite
 
@@ -113,7 +112,7 @@ class KKTErrors(NamedTuple):
                 return errors
         if terms.is_one_dense_component and tolerance:
             data = program.c, program.d, terms.m, program.lower, program.upper, x, y
-            errors = cls(*map(float, MEASURE_IN_PYTHON(terms.P, terms.C, terms.sizes, *data, 1.0)))
+            errors = cls(*map(float, MEASURE_IN_PYTHON(terms.P, terms.C, terms.sizes, *data)))
             if errors.meet(tolerance):
                 return errors
         if np.isfinite(x).all() and np.isfinite(y).all():
@@ -531,24 +530,12 @@ def sharp_errors(program: JudgedProgram, x: Vector, y: Vector) -> KKTErrors:
 
 
 @kernel
-def dense_errors(P, C, sizes, c, d, m, lower, upper, point, multipliers, safety):  # type: ignore[no-untyped-def]
+def dense_errors(P, C, sizes, c, d, m, lower, upper, point, multipliers):  # type: ignore[no-untyped-def]
     """Return upper bounds of the two measures of a point of a dense program of one component; ∞ if in doubt.
 
     `sizes` are |P|, |C| and the largest |entry| of each row of C, 1 for a row without entries.
-
-    With `safety` = 1 this is the rule by plain sums. With `SAFETY` = 5, if the first bound is at most half of
-    `ROWS` and the second half of the tolerance, the rule accepts the point for sums in any order, for at most 400
-    unknowns and rows, because
-
-    - sums in another order differ by at most twice their bound of rounding errors, which counts 5 times here where it
-      adds to an error, and where it reduces a size: r_j, violations, xᵀP x, P x and P x + c;
-    - |cᵀx| may differ by 2 n ε Σ |c_j x_j|, at most 1e-5 of the size, which is at least 1e-8 of these terms;
-    - x in its bounds, y, and the unknowns off their bounds are the same numbers in both;
-    - so a way here is at least the way there, up to 1e-5: an unknown that is far only there has its whole r_j times
-      distance in the sum here, which is also the most that it adds to the maximum there (the factor of 2); an unknown
-      within 1e-5 of its way counts in both places here.
     """
-    n, rows, unit, (of_P, of_C, row_sizes) = c.size, d.size, safety * UNIT, sizes
+    n, rows, (of_P, of_C, row_sizes) = c.size, d.size, sizes
     if not (point @ point < INF and multipliers @ multipliers < INF):
         return INF, INF
     x, is_limit = np.minimum(np.maximum(point, lower), upper), d < INF
@@ -559,14 +546,14 @@ def dense_errors(P, C, sizes, c, d, m, lower, upper, point, multipliers, safety)
     if not slopes.any():
         y[:] = 0.0
     of_y = np.abs(y)
-    rounding, lost = unit * (n + 3.0) * terms, unit * (n + 3.0) * bend
+    rounding, lost = UNIT * (n + 3.0) * terms, UNIT * (n + 3.0) * bend
     missed = np.abs(excess) + rounding
     over = missed.copy()
     over[:m] = np.maximum(excess[:m] + rounding[:m], 0.0)
     over = np.where(is_limit, over / np.maximum(terms, LEAST_PRICE), 0.0)
     outside = np.abs(point - x) / np.maximum(np.maximum(of_x, np.abs(point)), LEAST_PRICE)
     primal = max(outside.max(), over.max() if rows > 0 else 0.0)
-    left, doubt = slopes + y @ C, unit * (n + rows + 3.0) * (bend + cost + of_y @ of_C)
+    left, doubt = slopes + y @ C, UNIT * (n + rows + 3.0) * (bend + cost + of_y @ of_C)
     of_left, price = np.abs(left), np.abs(product) - lost + cost
     r, curved = of_left + doubt, max(abs(x @ product) - of_x @ lost, 0.0)
     size = abs(c @ x) + curved
@@ -581,7 +568,7 @@ def dense_errors(P, C, sizes, c, d, m, lower, upper, point, multipliers, safety)
     size = max(size, CANCELLED * (cost @ of_x + curved), SMALLEST_SIZE)
     has_cost = cost.any()
     size = max(size, LEAST_SIZE * (y @ terms + (0.0 if has_cost else of_x @ bend)))
-    is_rounding = of_left + (safety - 1.0) * doubt <= (n + 3.0) * UNIT * bend
+    is_rounding = of_left <= (n + 3.0) * UNIT * bend
     balanced = np.where(is_rounding & (cost == 0.0), bend, 0.0) if has_cost else bend
     price = np.maximum(np.abs(product) - lost, balanced) + cost + y @ of_C
     way, distance = (

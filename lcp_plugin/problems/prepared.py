@@ -28,7 +28,8 @@ from ..core.errors import InvalidOption, did_you_mean, public
 from ..core.lcp import LCP
 from ..core.problem_classes import class_of
 from ..core.settings import DEFAULTS, Settings, Status
-from ..engines.solvers import DAQP, call_daqp, ends_of_rows
+from ..engines.engine import EngineStatus
+from ..engines.solvers import DAQP, ends_of_rows
 from ..judges.lcp import Measured
 from ..judges.program import PROGRAM_TOLERANCE, JudgedProgram, sharp_errors
 from ..methods.lemke import Lemke
@@ -38,7 +39,7 @@ from ..solving.result import NOTHING_TO_DO, Result, StageRecord
 from .programs.program import QuadraticProgram, refuse_nonconvex
 from .programs.result import QuadraticProgramResult
 from .programs.solution import QPSolution
-from .programs.solving import CERTAIN_ROWS, FAR
+from .programs.solving import CERTAIN_ROWS, FAR, infeasible_result
 
 P = TypeVar("P")
 
@@ -172,8 +173,8 @@ class PreparedProgram(PreparedProblem[QuadraticProgram]):
         super().__init__(problem, algorithm, options)
         refuse_nonconvex(problem)
         limits = {name: value for name, value in options.items() if name in DEFAULTS}
-        settings = Settings(**{"tolerance": PROGRAM_TOLERANCE, **limits})
-        self._tolerance, self._arrays = settings.tolerance, None
+        settings = self._settings = Settings(**{"tolerance": PROGRAM_TOLERANCE, **limits})
+        self._arrays: Any = None
         base, is_watched = (
             problem.matrices,
             settings.is_watched or options.get("callback") is not None,
@@ -204,11 +205,14 @@ class PreparedProgram(PreparedProblem[QuadraticProgram]):
         if not d @ d < INFINITE_LIMIT**2:  # NaN in other data does not pass the test
             return None
         ends = ends_of_rows(d, m, lower, upper)
-        x, y = call_daqp(P, C, kinds, c.copy(), *ends, DAQP.defaults)[:2]
-        x, y = clip(x, lower, upper), y[x.size :]
+        end = DAQP.end_of(m, P, C, kinds, c.copy(), *ends, DAQP.defaults)
+        if end.reported is EngineStatus.INFEASIBLE:
+            changed = self.problem.with_vectors(*every)
+            return infeasible_result(changed, end, self._settings, perf_counter() - began)
+        x, y = clip(end.x, lower, upper), end.y
         errors = sharp_errors(JudgedProgram(self.problem.matrices.terms, c, d, lower, upper), x, y)
         is_certain = errors.primal <= CERTAIN_ROWS and x @ x <= FAR**2
-        if not (is_certain and errors.gap <= 0.5 * self._tolerance):
+        if not (is_certain and errors.gap <= 0.5 * self._settings.tolerance):
             return None
         solution = QPSolution.of_known(partial(self._solution, every, x, y), x=read_only(x))
         make = partial(self._record, perf_counter() - began)
@@ -218,7 +222,7 @@ class PreparedProgram(PreparedProblem[QuadraticProgram]):
         return QPSolution.from_reduced(self.problem.with_vectors(*data), x, y)
 
     def _record(self, seconds: float) -> QuadraticProgramResult:
-        run = {"iterations": 1, "tolerance": self._tolerance, "seconds": seconds}
+        run = {"iterations": 1, "tolerance": self._settings.tolerance, "seconds": seconds}
         stages = (StageRecord("daqp", "prepared", 1, 0.0),)
         return QuadraticProgramResult.of_known(None, algorithm="auto: daqp", stages=stages, **run)
 

@@ -235,7 +235,7 @@ def solve_programs(
     for k in wanted[np.isfinite(x[wanted]).all(1)].tolist():
         if (term := terms[k % len(terms)]).is_one_dense_component:
             vectors = c[k], d[k], m, lower[k], upper[k]
-            measured[k] = measure(term.P, term.C, term.sizes, *vectors, x[k], y[k], 1.0)
+            measured[k] = measure(term.P, term.C, term.sizes, *vectors, x[k], y[k])
     errors = KKTErrors(*measured.T)
     rows = np.hstack([x, y, at_lower, at_upper])
     return rows, errors.largest, steps, errors.meet(tolerance)

@@ -17,15 +17,16 @@ import numpy as np
 import scipy.sparse as sp
 from numpy.typing import NDArray
 
-from ...core.checks import AnyMatrix, Vector, derived_property
+from ...core.checks import AnyMatrix, MadeOnAccess, Vector, derived_property
 from ...core.deadline import is_over
 from ...core.entries import largest_in_rows, largest_products, max_norm, or_one
-from ...core.kernels.floats import DATA_ROUNDING, EPSILON, TINY
+from ...core.kernels.floats import DATA_ROUNDING, EPSILON, TINY, UNIT
 from ...core.names import describe_radius, grouped, listed
 from ...core.problem_classes import Door
 from ...core.settings import Status
 from ...engines.polish import shifted_solver
-from ...judges.program import PROGRAM_TOLERANCE, ROWS
+from ...engines.solvers import DAQP, call_daqp, ends_of_rows
+from ...judges.program import NOISE, PROGRAM_TOLERANCE, ROWS, JudgedProgram
 from ...proofs import farkas
 from ...proofs.conflict import Conflict, find_conflict
 from ...proofs.exact import (
@@ -46,12 +47,14 @@ from ...systems.equilibration import equilibrating_exponents
 from .constraints import Constraints, sums_and_terms
 from .program import FoldedRows, QuadraticProgram
 
+SOFTNESS = 1e-10  # share of a violation in the squares that daqp minimizes
+SOFT = 8  # added to daqp's kind of a row that may be violated
 MET = 1e-8  # residual of a row, in units of the data, that is attributed to rounding
 T = TypeVar("T", "QPInfeasibility", "QPUnboundedness")
 
 
 @dataclass(frozen=True, eq=False)
-class QPInfeasibility:
+class QPInfeasibility(MadeOnAccess):
     """Multipliers that prove, after Farkas, that no x satisfies G x ≤ h, A x = b, lower ≤ x ≤ upper.
 
     With the constraints as rows C x ≤ d: Cᵀ multipliers = 0 and dᵀ multipliers < 0, the multipliers of inequalities ≥ 0
@@ -407,6 +410,20 @@ def known_proof(program: QuadraticProgram, y: Vector | None = None) -> NoMinimum
     return program.known["proof"]
 
 
+def searched_proof(program: QuadraticProgram, y: Vector) -> QPInfeasibility:
+    """Return the proof that is searched for, or the proof by multipliers of the reduced rows if no search finds one."""
+    proof: Any = known_proof(program)
+    if (
+        proof is not None
+        and proof.status is Status.INFEASIBLE
+        and proof.excludes(PROGRAM_TOLERANCE)
+    ):
+        return proof
+    nonzero = {i: Fraction(value) for i, value in enumerate(y.tolist()) if value}
+    found: Any = _unfolded(program.folded, with_bounds(program.folded.reduced, nonzero))
+    return found
+
+
 def accepted_proof(
     program: QuadraticProgram, tolerance: float = PROGRAM_TOLERANCE
 ) -> NoMinimum | None:
@@ -456,6 +473,50 @@ def _is_sought(program: QuadraticProgram) -> bool:
     # Larger programs are not worth the linear programs
     is_small = program.n + program.constraints.rows <= 20_000
     return is_small and sum(program.matrices.entries) <= 1_000_000
+
+
+def multipliers_of_soft_rows(program: JudgedProgram, kinds: Any) -> list[Vector] | None:
+    """Return a point with small violations and multipliers of rows that show infeasibility by plain sums; or None.
+
+    daqp's multipliers of rows that may be violated are violations that no x reduces: yᵀC is nearly 0 where no bound
+    closes a column. A least squares step removes the rest. Sums with bounds of their rounding errors accept y only if
+    `with_bounds` of it is a proof with a margin at least 100 times above `ROWS`.
+
+    Parameters
+    ----------
+    program : JudgedProgram
+        Dense.
+    kinds : array
+        daqp's kinds of its bounds and rows.
+    """
+    (terms, c, d, lower, upper), n = program, program.c.size
+    C, of_C, soft = terms.C, terms.both[1][n:], kinds.copy()
+    soft[n:] += SOFT
+    relative = of_C / terms.row_sizes[:, np.newaxis]
+    units = np.diag(or_one((relative * relative).sum(axis=0)))
+    ends, options = ends_of_rows(d, terms.m, lower, upper), DAQP.defaults | {"rho_soft": SOFTNESS}
+    x, signed = call_daqp(units, np.array(C, order="C"), soft, 0.0 * c, *ends, options)[:2]
+    y, sizes = signed[n:], np.abs(signed[n:]) * terms.row_sizes
+    used = (sizes > 1e-4 * sizes.max(initial=0.0)).nonzero()[0]
+    if not (used.size and signed @ signed < np.inf and terms.counts[used].all()):
+        return None
+    rows, of_y = C[used], y[used]
+    columns = (rows[:, signed[:n] == 0.0] * of_y[:, np.newaxis]).T
+    of_y *= 1.0 - np.linalg.lstsq(columns, columns.sum(axis=1))[0]
+    y = np.zeros(d.size)
+    y[used] = of_y
+    np.maximum(y[: terms.m], 0.0, out=y[: terms.m])
+    of_y, d = np.abs(y), np.where(y != 0.0, d, 0.0)
+    sums, sizes = y @ C, of_y @ of_C
+    bound, bounds = np.where(sums > 0.0, lower, upper), np.abs((lower, upper))
+    is_open, rounding = np.isinf(bound), (used.size + n + 6.0) * UNIT
+    reach = np.where(bounds < np.inf, bounds, 0.0).sum(axis=0)
+    total = of_y @ (np.abs(d) + NOISE * terms.row_sizes) + 2.0 * sizes @ (reach + NOISE)
+    left = rounding + np.where(is_open, np.abs(sums), 0.0) / or_one(sizes)
+    plain = sums @ np.where(is_open, 0.0, bound) - y @ d - rounding * total
+    least = max(100.0 * ROWS, 2.0 * farkas.WIDE * left.sum())
+    is_shown = plain > least * total and left.max() <= DATA_ROUNDING
+    return [np.clip(x, lower, upper), y] if is_shown else None
 
 
 def contradictory_row(program: QuadraticProgram) -> QPInfeasibility | None:

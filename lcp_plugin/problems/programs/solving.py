@@ -4,12 +4,13 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterator
+from functools import partial
 from typing import Any
 
 import numpy as np
 
 from ...core.algorithm import Step
-from ...core.checks import Vector, vector_option
+from ...core.checks import Vector, read_only, vector_option
 from ...core.deadline import Clock, is_over, seconds_left, time_limit
 from ...core.entries import clip, max_norm
 from ...core.errors import InvalidOption, UnsuitableMatrix, UnsuitableProblem, UnsupportedModel
@@ -36,7 +37,16 @@ from .engine_points import (
     run_engine,
     without_noise,
 )
-from .no_minimum import NoMinimum, QPUnboundedness, known_proof, numbers, proof_of_contradiction
+from .no_minimum import (
+    NoMinimum,
+    QPInfeasibility,
+    QPUnboundedness,
+    known_proof,
+    multipliers_of_soft_rows,
+    numbers,
+    proof_of_contradiction,
+    searched_proof,
+)
 from .program import QuadraticProgram, refuse_nonconvex
 from .regression import Outward, points_near, regression_of
 from .result import ADVICE, QuadraticProgramResult
@@ -70,7 +80,7 @@ def solve_program(
         Options of :func:`lcp_plugin.solve`. Pass the z of an earlier result as `z0` to start a run on the
         complementarity problem; external solvers ignore it. The run calls `callback` before an external solver
         begins, with the start, and after it ends, with its point. With ``prove_infeasibility=False``, the run ends
-        STALLED if two solvers report infeasible or unbounded.
+        STALLED if two solvers report infeasible or unbounded, or if daqp does and its multipliers show it.
 
     Raises
     ------
@@ -148,6 +158,8 @@ def first_point(
         options = {**options, "iter_limit": settings.max_iterations}
     m, tolerance = reduced.h.size, settings.tolerance
     end = DAQP.end_of(m, *layout, c.copy(), *ends_of_rows(judged.d, m, lower, upper), options)
+    if end.reported is EngineStatus.INFEASIBLE:
+        return end, infeasible_result(program, end, settings, clock.read())
     x, y = clip(without_noise(end.x), lower, upper), without_noise(end.y)  # as a run begins
     errors, x = KKTErrors.with_point(judged, x, y, tolerance)
     is_sharp = errors.meet(tolerance) and errors.gap <= SHARP * (x.size + y.size)
@@ -159,6 +171,32 @@ def first_point(
     stages = (StageRecord(DAQP.name, DAQP.solves, end.iterations, 0.0),)
     fields |= {"seconds": clock.read(), "stages": stages, "status": Status.SOLVED}
     return end, QuadraticProgramResult.of_known(None, **fields, solution=make(program, x, y))
+
+
+def infeasible_result(
+    program: QuadraticProgram, end: EnginePoint, settings: Settings, seconds: float
+) -> QuadraticProgramResult | None:
+    """Return the result of a program that daqp reports as infeasible if multipliers show that it is; else None.
+
+    The proof is searched for when it is read. A result without proofs is STALLED, at a point with small violations.
+    """
+    reduced = program.folded.reduced
+    layout: Any = reduced.matrices.of_daqp
+    if (shown := multipliers_of_soft_rows(reduced.judged, layout[2])) is None:
+        return None
+    (x, y), because = shown, f"it reports {end.reported.value}"
+    fields: dict[str, Any] = {"algorithm": "auto: daqp", "iterations": end.iterations}
+    fields |= {"tolerance": settings.tolerance, "seconds": seconds}
+    fields["stages"] = (StageRecord(DAQP.name, because, end.iterations, 0.0),)
+    if settings.prove_infeasibility:
+        none = read_only(np.full(x.size, np.nan))
+        proof = QPInfeasibility.of_known(partial(searched_proof, program, y), program=program)
+        solution = QPSolution.of_known(partial(QPSolution.none, program), program=program, x=none)
+        fields |= {"status": Status.INFEASIBLE, "proof": proof}
+    else:
+        fields["status"] = Status.STALLED
+        solution = QPSolution.on_access(program, x, 0.0 * y)
+    return QuadraticProgramResult.of_known(None, **fields, solution=solution)
 
 
 def is_in_doubt(program: QuadraticProgram, errors: KKTErrors, x: Vector) -> bool:

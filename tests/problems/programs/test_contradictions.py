@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+from fractions import Fraction
+from typing import Any
+
 import cvxpy as cp
 import numpy as np
 import pytest
@@ -12,8 +15,10 @@ from lcp_plugin import (
     Status,
     UnsupportedModel,
     certify,
+    prepare,
     solve,
 )
+from lcp_plugin.problems.programs.no_minimum import multipliers_of_soft_rows, with_bounds
 
 INF = np.inf
 
@@ -145,3 +150,56 @@ def test_a_row_without_coefficients_is_judged_by_its_own_side(door, unit):
         assert result.status is status
         if door != "cvxpy" and status is Status.SOLVED:
             assert certify(program, result.x).verdict != "disproved"
+
+
+def inconsistent(rng: np.random.Generator, gap: float) -> QuadraticProgram:
+    """Return a program whose last row contradicts others, an equation and bounds by `gap`, or by none if it is ≤ 0."""
+    n, m = (int(size) for size in rng.integers(2, 12, 2))
+    x, G, A = rng.normal(size=n), rng.normal(size=(m, n)), rng.normal(size=(1, n))
+    low, high = x, x + rng.random(n)
+    lower, upper = (
+        np.where(rng.random(n) < 0.3, bound, np.inf * s) for bound, s in ((low, -1), (high, 1))
+    )
+    y, of_bounds = rng.random(m), rng.random(n) * np.isfinite(lower)
+    G, h = np.vstack([G, of_bounds - y @ G - A[0]]), G @ x
+    last = of_bounds @ np.where(np.isfinite(lower), lower, 0.0) - y @ h - A[0] @ x
+    return QuadraticProgram(
+        np.eye(n), rng.normal(size=n), G, np.append(h, last - gap), A, A @ x, lower, upper
+    )
+
+
+@pytest.mark.parametrize("gap", [10.0, 0.1, 1e-3])
+def test_small_inconsistent_programs_need_no_run_and_have_a_proof(gap, draws, monkeypatch):
+    """`solve` and steps return without a run; the proof is searched for when it is read."""
+
+    def refuse(*_: Any) -> None:
+        raise AssertionError
+
+    monkeypatch.setattr("lcp_plugin.problems.programs.solving.ProgramRun", refuse)
+    for seed in draws(16):
+        program = inconsistent(np.random.default_rng(seed), gap)
+        step, stalled = prepare(program), solve(program, prove_infeasibility=False)
+        for result in (solve(program), step.solve(c=program.c), step.solve(h=program.h)):
+            assert result.status is Status.INFEASIBLE
+            assert np.isnan(result.x).all()
+            assert result.proof.verify()
+        assert stalled.status is Status.STALLED
+        assert stalled.proof is None
+        assert (stalled.x >= program.lower).all()
+        assert (stalled.x <= program.upper).all()
+
+
+def test_multipliers_of_soft_rows_prove_what_they_accept(draws):
+    """They accept no consistent program, however small the gap, and are a proof with a margin above 1e-7 otherwise."""
+    shown = 0
+    for seed in draws(800, 4):
+        rng = np.random.default_rng(seed)
+        gap = rng.choice([0.0, -1e-9, *10.0 ** rng.uniform(-8, 1, 4)])
+        program = inconsistent(rng, gap)
+        found = multipliers_of_soft_rows(program.judged, program.matrices.of_daqp[2])
+        if found is not None:
+            proof = with_bounds(program, {i: Fraction(y) for i, y in enumerate(found[1]) if y})
+            assert gap > 0.0
+            assert proof.margin >= 1e-7
+            shown += 1
+    assert shown > 8

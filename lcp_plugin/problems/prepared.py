@@ -21,7 +21,6 @@ from ..core.checks import (
     checked_start,
     checked_vector,
     read_only,
-    vector_option,
 )
 from ..core.entries import clip, unbounded
 from ..core.errors import InvalidOption, did_you_mean, public
@@ -39,7 +38,7 @@ from ..solving.result import NOTHING_TO_DO, Result, StageRecord
 from .programs.program import QuadraticProgram, refuse_nonconvex
 from .programs.result import QuadraticProgramResult
 from .programs.solution import QPSolution
-from .programs.solving import CERTAIN_ROWS, FAR, infeasible_result
+from .programs.solving import CERTAIN_ROWS, FAR, checked_start_of_program, infeasible_result
 
 P = TypeVar("P")
 
@@ -194,7 +193,7 @@ class PreparedProgram(PreparedProblem[QuadraticProgram]):
             return None
         began, ((P, C, kinds), vectors) = perf_counter(), self._arrays
         if start is not None:
-            vector_option(start, "z0", None)
+            checked_start_of_program(self.problem, start)
         if all(is_plain(value, *vectors[name].shape) for name, value in data.items()):
             copies = {name: read_only(value.copy()) for name, value in data.items()}
         else:  # the constructor converts and checks other data

@@ -77,7 +77,7 @@ def solve_program(
     tolerance : float
         Tolerance of the duality gap; rows are tested to 1e-9 at every tolerance.
     **options
-        Options of :func:`lcp_plugin.solve`. Pass the z of an earlier result as `z0` to start a run on the
+        Options of :func:`lcp_plugin.solve`. Pass x, or the z of an earlier result, as `z0` to start a run on the
         complementarity problem; external solvers ignore it. The run calls `callback` before an external solver
         begins, with the start, and after it ends, with its point. With ``prove_infeasibility=False``, the run ends
         STALLED if two solvers report infeasible or unbounded, or if daqp does and its multipliers show it.
@@ -99,8 +99,7 @@ def solve_program(
             )
     solve_options = {name: value for name, value in solve_options.items() if value is not None}
     callback, start = solve_options.pop("callback", None), solve_options.pop("z0", None)
-    if start is not None:
-        start = vector_option(start, "z0", None)
+    start = None if start is None else checked_start_of_program(program, start)
     is_point = isinstance(algorithm, InteriorPoint)
     if is_point or (isinstance(algorithm, str) and algorithm == InteriorPoint.name):
         algorithm = "piqp"
@@ -134,6 +133,15 @@ def solve_program(
             raise
         return run.result(Status.NO_SOLUTION)
     return run.solve(run.with_proof(plan))
+
+
+def checked_start_of_program(program: QuadraticProgram, z0: Any) -> Vector:
+    """Return a start: x, or x with the multipliers of the rows that are not bounds; raise InvalidOption for others."""
+    start, n = vector_option(z0, "z0", None), program.n
+    if start.size != n and start.size != (size := n + program.folded.reduced.constraints.rows):
+        also = f", or z of an earlier result, of length {size}" if size > n else ""
+        raise InvalidOption(f"z0 must be x, of length {n}{also}, got length {start.size}")
+    return start
 
 
 def first_point(
@@ -229,6 +237,8 @@ class ProgramProgress(Progress):
         """Return the limit that the call, or a run on the complementarity problem, has reached."""
         if self.end is None and is_over():
             self.end = Status.MAX_SECONDS
+        elif self.end is None and not self.settings.max_iterations:
+            self.end = Status.MAX_ITERATIONS
         return self.end
 
 
@@ -353,8 +363,8 @@ class ProgramRun(Run):
         tolerance = self.settings.tolerance
         problem = optimality_conditions(self.program)
         lcp_options = {**options, **self.options, "max_seconds": None if left == math.inf else left}
-        if self.start is not None and self.start.size == problem.n:
-            lcp_options["z0"] = self.start
+        if self.start is not None:
+            lcp_options["z0"] = np.append(self.start, np.zeros(problem.n - self.start.size))
         passing: Vector | None = None
 
         def ends_run(sample: Sample, z: Vector) -> bool:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from concurrent.futures import ThreadPoolExecutor
+from functools import partial
 from typing import Any
 
 import numpy as np
@@ -20,6 +21,7 @@ from lcp_plugin import (
     InvalidProblem,
     NonlinearProblem,
     QuadraticProgram,
+    Status,
     prepare,
     solve,
     solve_batch,
@@ -361,9 +363,32 @@ def test_a_prepared_program_refuses_what_solve_refuses():
     program = QuadraticProgram(2 * np.eye(2), [-2.0, -5.0], [[1, 2]], [3], lower=0)
     with pytest.raises(InvalidOption, match="max_seconds"):
         prepare(program, max_second=1).solve()
-    for start in ("abc", np.array([np.nan, 1.0])):
-        with pytest.raises(InvalidOption, match="z0"):
-            prepare(program).solve(z0=start)
+    for start in ("abc", np.array([np.nan, 1.0]), [1.0], [1.0, 2.0, 3.0, 4.0]):
+        for call in (
+            prepare(program).solve,
+            partial(solve, program),
+            partial(solve, program, "piqp"),
+        ):
+            with pytest.raises(InvalidOption, match="z0"):
+                call(z0=start)
+
+
+def test_a_program_without_iterations_ends_max_iterations():
+    """Also by an external solver that takes no limit of 0, and prepared."""
+    program = QuadraticProgram(2 * np.eye(2), [-2.0, -5.0], [[1, 2]], [3], lower=0)
+    found = [solve(program, name, max_iterations=0) for name in ("auto", "piqp", "daqp", "newton")]
+    for result in (*found, prepare(program, max_iterations=0).solve()):
+        assert result.status is Status.MAX_ITERATIONS
+
+
+def test_the_x_of_a_program_is_a_start_of_a_run_on_its_conditions():
+    """A minimizer that satisfies the rows strictly needs no step of newton, its multipliers are 0."""
+    program = QuadraticProgram(2 * np.eye(2), [-2.0, -4.0], [[1.0, 2.0]], [30.0], lower=0)
+    assert (
+        solve(program, "newton", z0=[1.0, 2.0]).iterations
+        == 0
+        < solve(program, "newton").iterations
+    )
 
 
 @pytest.mark.parametrize("watch", [{"record": True}, {"callback": lambda *step: None}])

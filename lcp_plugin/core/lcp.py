@@ -14,7 +14,7 @@ from .checks import AnyMatrix, Vector, checked_bounds, checked_vector, read_only
 from .entries import clip
 from .errors import public
 from .matrix import Matrix
-from .names import Names, checked_names, describe_lcp
+from .names import Names, checked_names, describe_lcp, shared_labels
 from .problem import Problem
 from .problem_classes import Door
 
@@ -39,7 +39,8 @@ class LCP(Problem):
     lower, upper : scalar or array, shape (n,)
         Bounds of z in the unit of z, lower ≤ upper; lower ≤ −1e20 and upper ≥ 1e20 mean no bound.
     names : sequence of str, or a pair of sequences, optional
-        Names that messages use: of the unknowns and their rows, or a pair, names of the rows and of the unknowns.
+        Names that messages use: of the unknowns and their rows, or a pair, names of the rows and of the unknowns. By
+        default the labels of pandas objects, whose numbers must be in one order.
 
     Raises
     ------
@@ -82,6 +83,11 @@ class LCP(Problem):
         upper: ArrayLike = np.inf,
         names: Any = None,
     ) -> None:
+        data = {"M": M, "q": q, "lower": lower, "upper": upper}
+        labels = shared_labels(self.axes, data)
+        shared_labels(("M zz", "q z", "lower z", "upper z"), data)
+        if labels and names is None:
+            names = Names(labels.get("w"), labels.get("z"))
         matrix = M if isinstance(M, Matrix) else Matrix(M)
         n = matrix.n
         q, (lower, upper) = _checked_q(q, n), checked_bounds(lower, upper, n)

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 import re
+import sys
 from collections import Counter
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from typing import Any, NamedTuple
@@ -108,7 +109,8 @@ def checked_names(
     Raises
     ------
     InvalidProblem
-        If the names are anything else, or their number differs from the number of rows or unknowns.
+        If the names are anything else, their number differs from the number of rows or unknowns, or two unknowns
+        have one name.
 
     Examples
     --------
@@ -128,15 +130,57 @@ def checked_names(
         both = Names(*(k if k is None else _listed(k) for k in given))
     else:
         raise InvalidProblem(
-            "names must be a list of strings, or a pair of lists, of the rows and of the unknowns, "
+            "names must be a sequence of strings, or a pair of sequences, of the rows and of the unknowns, "
             f"got {labels!r:.60}; write names=[str(name) for name in …]"
         )
-    for what, names, count in (("rows", both.rows, rows), ("unknowns", both.unknowns, unknowns)):
+    for what, names, count in (("row", both.rows, rows), ("unknown", both.unknowns, unknowns)):
         if isinstance(names, list) and count is not None and len(names) != count:
             raise InvalidProblem(
-                f"names has {len(names)} names of {what}, and the problem has {count}; give one name each"
+                f"names has {format_count(len(names), 'name')} of {what}s, and the problem has {count}; give one each"
             )
+    twice = _first_repeated(both.unknowns) if isinstance(both.unknowns, list) else None
+    if twice is not None:
+        raise InvalidProblem(f"names of unknowns must differ, but {twice!r} is there twice")
     return both
+
+
+def _first_repeated(names: Sequence[str]) -> str | None:
+    return next((name for name, count in Counter(names).items() if count > 1), None)
+
+
+def shared_labels(axes: Iterable[str], data: Mapping[str, Any]) -> dict[str, list[str]]:
+    """Return the labels of DataFrames and Series of pandas as text, of each axis the first ones that are not numbers.
+
+    Parameters
+    ----------
+    axes : iterable of str
+        Names of arguments, each with a letter for each of its axes, as ``["M zz", "q z"]``.
+    data : mapping
+        The arguments.
+
+    Raises
+    ------
+    InvalidProblem
+        If axes with one letter have the same labels in another order.
+    """
+    found: dict[str, dict[str, list[str]]] = {}
+    names: dict[str, list[str]] = {}
+    for name, letters in map(str.split, axes if "pandas" in sys.modules else ()):
+        indices = data[name].axes if hasattr(data[name], "iloc") else ()
+        for letter, index in zip(letters, indices, strict=False):
+            labels = [*map(str, index)]
+            for first, known in found.setdefault(letter, {}).items():
+                if labels != known and sorted(labels) == sorted(known):
+                    k = next(k for k, label in enumerate(known) if label != labels[k])
+                    raise InvalidProblem(
+                        f"the labels of {first} and {name if name != first else 'its columns'} must be in one order, "
+                        f"but label {k} is {known[k]!r} and {labels[k]!r}; write {name}.reindex(…), or "
+                        f"{name}.to_numpy() if its order is right"
+                    )
+            found[letter].setdefault(name, labels)
+            if index.dtype.kind not in "iuf" and _first_repeated(labels) is None:
+                names.setdefault(letter, labels)
+    return names
 
 
 def _listed(values: Any) -> list[Any]:

@@ -14,8 +14,12 @@ class Problem:
         Names of arguments and attributes; the bounds are the last two vectors.
     start_name : str
         Name of a start in `solve`.
+    axes : tuple of str
+        Arguments, each with a letter for each of its axes: those with one letter have the same labels, see
+        :func:`lcp_plugin.core.names.shared_labels`.
     """
 
+    axes: ClassVar[tuple[str, ...]] = ("M wz", "q w", "lower z", "upper z")
     matrix_names: ClassVar[tuple[str, ...]] = ("M",)
     vector_names: ClassVar[tuple[str, ...]] = ("q", "lower", "upper")
     other_names: ClassVar[tuple[str, ...]] = ("names",)

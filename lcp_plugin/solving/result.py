@@ -174,11 +174,12 @@ class BaseResult(MadeOnAccess, Outcome):
 
     @property
     def named(self) -> dict[str, float]:
-        """Values of x by the names of the unknowns, "z[0]" without a name."""
+        """Values of x by the names of the unknowns; without a name "z[0]", and "x[0]" of programs and least squares."""
         certificate = getattr(self, "certificate", None)
         problem = getattr(self, "program", None) or getattr(certificate, "problem", None)
         names = getattr(problem, "names", Names())
-        return {names.unknown(j): value for j, value in enumerate(self.x.tolist())}
+        otherwise = "z[{}]" if isinstance(self, Result) else "x[{}]"
+        return {names.unknown(j, otherwise): value for j, value in enumerate(self.x.tolist())}
 
     @property
     def advice(self) -> str:

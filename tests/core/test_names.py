@@ -6,6 +6,7 @@ import pytest
 
 from lcp_plugin import (
     LCP,
+    BoundedLeastSquares,
     InvalidProblem,
     NonlinearProblem,
     QuadraticProgram,
@@ -63,9 +64,9 @@ NO_NAMES = {
 
 @pytest.mark.parametrize("wrong", NO_NAMES)
 def test_names_are_lists_of_strings_in_every_constructor(wrong):
-    """Anything but a list of strings or a pair of lists is an InvalidProblem of the constructor."""
+    """Anything but a sequence of strings or a pair of sequences is an InvalidProblem of the constructor."""
     for build in CONSTRUCTORS.values():
-        with pytest.raises(InvalidProblem, match="names must be a list of strings, or a pair"):
+        with pytest.raises(InvalidProblem, match="names must be a sequence of strings, or a pair"):
             build(NO_NAMES[wrong])
         array = np.array(["a", "b"])
         for names in (["a", "b"], ("a", "b"), array, [None, ("a", "b")], (None, array), None):
@@ -177,3 +178,35 @@ def test_a_conflict_of_many_bounds_names_each_array_once():
     problem = cp.Problem(cp.Minimize(0), [ship >= 0, cp.sum(ship) <= -1])
     problem.solve(method="LCP")
     assert "0.0 <= ship (60 entries)" in str(problem.solver_stats.extra_stats.conflict)
+
+
+def test_two_unknowns_with_one_name_are_refused():
+    """`result.named` would lose a value; rows may share a name. Programs and least squares count x."""
+    for problem in (LCP, QuadraticProgram):
+        with pytest.raises(InvalidProblem, match="must differ, but 'a' is there twice"):
+            problem(np.eye(2), [1, 1], names=["a", "a"])
+    assert LCP(np.eye(2), [1, 1], names=[["a", "a"], ["b", "c"]]).names.row(1) == "a"
+    for problem in (QuadraticProgram(np.eye(1), [1.0]), BoundedLeastSquares(np.eye(1), [1.0])):
+        assert [*solve(problem).named] == ["x[0]"]
+
+
+def test_labels_of_pandas_are_names_and_must_be_in_one_order():
+    """A permuted matrix, vector or bound is an error that shows its labels; default labels name nothing."""
+    pandas = pytest.importorskip("pandas")
+    labels, turned, q = ["a", "b"], ["b", "a"], pandas.Series([-5.0, 1.0], ["a", "b"])
+    M = pandas.DataFrame([[2.0, 1.0], [1.0, 2.0]], labels, labels)
+    assert solve(LCP(M, q)).named == {"a": 2.5, "b": 0.0}
+    rows = pandas.DataFrame([[1.0, 1.0]], ["cap"], labels)
+    assert QuadraticProgram(M, q, rows, [1.0]).names == (["cap"], labels)
+    assert LCP(M, q.reset_index(drop=True), names=["c", "d"]).names.row(0) == "c"
+    assert LCP(M.to_numpy(), pandas.Series([1.0, 2.0])).names == (None, None)
+    for wrong in (
+        lambda: LCP(M, q[turned]),
+        lambda: LCP(M[turned], q),
+        lambda: LCP(M.to_numpy(), q, upper=q[turned] + 9),
+        lambda: LCP(pandas.DataFrame(M.to_numpy()), pandas.Series([1.0, 2.0], [1, 0])),
+        lambda: QuadraticProgram(M, q, rows[turned], [1.0]),
+        lambda: BoundedLeastSquares(M, [1.0, 2.0], lower=q[turned]),
+    ):
+        with pytest.raises(InvalidProblem, match=r"in one order, but label 0 is '[a0]' and '[b1]'"):
+            wrong()

@@ -17,6 +17,7 @@ from ...core import checks
 from ...core.checks import AnyMatrix, Array, BoolVector, Vector, read_only
 from ...core.errors import InvalidOption, InvalidProblem
 from ...core.kernels.floats import EPSILON, OUTWARD, TINY
+from ...core.names import shared_labels
 from ...core.problem import Problem
 from ...core.rounding import compensated_product, gamma
 from ...judges.lcp import RAN_AWAY
@@ -65,6 +66,7 @@ class BoundedLeastSquares(Problem):
         Whether A is a sparse array, or an ndarray.
     """
 
+    axes = "A ax", "b a", "weights a", "l1 x", "lower x", "upper x"
     matrix_names, vector_names = ("A", "weights", "ridge"), ("b", "l1", "lower", "upper")
     other_names, start_name = (), "x0"
 
@@ -79,6 +81,8 @@ class BoundedLeastSquares(Problem):
         ridge: float = 0.0,
         l1: ArrayLike = 0.0,
     ) -> None:
+        given = {"A": A, "b": b, "weights": weights, "l1": l1, "lower": lower, "upper": upper}
+        shared_labels(self.axes, given)
         self.A = _checked(A)
         self.is_dense = isinstance(self.A, np.ndarray)
         self.is_sparse = not self.is_dense

@@ -17,7 +17,7 @@ from ...core.checks import AnyMatrix
 from ...core.entries import largest_in_rows
 from ...core.errors import InvalidProblem, UnsupportedModel
 from ...core.kernels.floats import EPSILON, UNIT
-from ...core.names import Names, checked_names, listed
+from ...core.names import Names, checked_names, listed, shared_labels
 from ...core.problem import Problem
 from ...core.rounding import compensated_pair, compensated_product
 from ...core.structure import mismatch
@@ -51,7 +51,8 @@ class QuadraticProgram(Problem):
     constant : float
         Constant of the objective, in its value and in the bounds of the value.
     names : sequence of str, or a pair of sequences, optional
-        Names that messages use: of the unknowns, or a pair, names of the rows of G, then of A, and of the unknowns.
+        Names that messages use: of the unknowns, or a pair, names of the rows of G, then of A, and of the unknowns. By
+        default the labels of pandas objects, see `LCP`.
 
     Attributes
     ----------
@@ -81,6 +82,7 @@ class QuadraticProgram(Problem):
     -4.5
     """
 
+    axes = "P xx", "c x", "G gx", "h g", "A ax", "b a", "lower x", "upper x"
     matrix_names, vector_names = ("P", "G", "A"), ("c", "h", "b", "lower", "upper")
     other_names = "constant", "names"
 
@@ -112,6 +114,8 @@ class QuadraticProgram(Problem):
         constant: float = 0.0,
         names: Any = None,
     ) -> None:
+        given = {"P": P, "c": c, "G": G, "h": h, "A": A, "b": b, "lower": lower, "upper": upper}
+        labels = shared_labels(self.axes, given)
         vector = checks.checked_vector(c, "c", None)
         n = vector.size
         if P is None or (np.isscalar(P) and P == 0):
@@ -122,7 +126,11 @@ class QuadraticProgram(Problem):
         below, above = checks.checked_bounds(lower, upper, n)
         vectors = zip(self.vector_names, (vector, limits, right, below, above), strict=True)
         data = dict(vectors) | {"asymmetry": asymmetry, "constant": checked_constant(constant)}
-        names = checked_names(names, limits.size + right.size, n)
+        m = limits.size + right.size
+        if labels and names is None:
+            of_rows = labels.get("g", []) + labels.get("a", [])
+            names = Names(of_rows if len(of_rows) == m else None, labels.get("x"))
+        names = checked_names(names, m, n)
         self._keep(ProgramMatrices(P, rows, equations), names=names, **data)
 
     @classmethod

@@ -83,9 +83,8 @@ class LCP(Problem):
         upper: ArrayLike = np.inf,
         names: Any = None,
     ) -> None:
-        data = {"M": M, "q": q, "lower": lower, "upper": upper}
-        labels = shared_labels(self.axes, data)
-        shared_labels(("M zz", "q z", "lower z", "upper z"), data)
+        labels = shared_labels(self.axes, locals())
+        shared_labels(("M zz", "q z", "lower z", "upper z"), locals())
         if labels and names is None:
             names = Names(labels.get("w"), labels.get("z"))
         matrix = M if isinstance(M, Matrix) else Matrix(M)

@@ -81,8 +81,7 @@ class BoundedLeastSquares(Problem):
         ridge: float = 0.0,
         l1: ArrayLike = 0.0,
     ) -> None:
-        given = {"A": A, "b": b, "weights": weights, "l1": l1, "lower": lower, "upper": upper}
-        shared_labels(self.axes, given)
+        shared_labels(self.axes, locals())
         self.A = _checked(A)
         self.is_dense = isinstance(self.A, np.ndarray)
         self.is_sparse = not self.is_dense

@@ -114,8 +114,7 @@ class QuadraticProgram(Problem):
         constant: float = 0.0,
         names: Any = None,
     ) -> None:
-        given = {"P": P, "c": c, "G": G, "h": h, "A": A, "b": b, "lower": lower, "upper": upper}
-        labels = shared_labels(self.axes, given)
+        labels = shared_labels(self.axes, locals())
         vector = checks.checked_vector(c, "c", None)
         n = vector.size
         if P is None or (np.isscalar(P) and P == 0):

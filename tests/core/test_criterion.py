@@ -467,7 +467,7 @@ def test_tolerated_rows_in_random_units_result_is_right(seed, draws):
     In an idle row 2⁻¹⁰⁴ of the component's largest q_i/d_i explains an error also. The verdict is equal in all units.
     """
     rng = np.random.default_rng([87, seed])
-    for _ in draws(500, 25):
+    for _ in draws(500, 50):
         problem, other = drawn_in_units(rng)
         result = solve(problem)
         with np.errstate(all="ignore"):

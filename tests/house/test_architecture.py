@@ -27,21 +27,8 @@ ROOT = Path(__file__).parents[2]
 PACKAGE = ROOT / "lcp_plugin"
 PAGE = (ROOT / "examples" / "manual" / "developing.md").read_text(encoding="utf-8")
 HEAVY = (
-    "numba",
-    "pyamg",
-    "cvxpy",
-    "matplotlib",
-    "hypothesis",
-    "rich",
-    "typer",
-    "jinja2",
-    "torch",
-    "jax",
-    "casadi",
-    "pyomo",
-    "qpsolvers",
-    "quantecon",
-    "h5py",
+    *("numba", "pyamg", "cvxpy", "matplotlib", "hypothesis", "rich", "typer", "jinja2", "torch"),
+    *("jax", "casadi", "pyomo", "qpsolvers", "quantecon", "h5py"),
 )
 LAZY = 16  # imports of package files inside functions, which are for weight
 # lines with vars(…) or __dict__: what they write, a reader does not find by its name
@@ -59,6 +46,12 @@ def module_of(file: Path) -> str:
 FILES = {module_of(file): file for file in sorted(PACKAGE.rglob("*.py"))}
 
 
+@cache
+def parsed(file: Path) -> ast.Module:
+    """Return the syntax tree of a file, which several tests walk."""
+    return ast.parse(file.read_text(encoding="utf-8"))
+
+
 def floors() -> list[list[str]]:
     """Return the rooms of each floor in the picture, the highest floor first."""
     picture = re.search(r"```text\n(.*?)```", PAGE, re.S)
@@ -74,7 +67,7 @@ def room_of(module: str) -> str:
 def imports_of(file: Path) -> Iterator[tuple[str, bool]]:
     """Yield the package's modules that a file imports, for type checkers too, and whether in a function."""
     package = ["lcp_plugin", *file.relative_to(PACKAGE).parts[:-1]]
-    waiting: list[tuple[ast.AST, bool]] = [(ast.parse(file.read_text(encoding="utf-8")), False)]
+    waiting: list[tuple[ast.AST, bool]] = [(parsed(file), False)]
     while waiting:
         node, is_inside = waiting.pop()
         is_inside |= isinstance(node, ast.FunctionDef)
@@ -122,7 +115,7 @@ def circles() -> list[list[str]]:
 def constants() -> Iterator[tuple[Path, ast.Assign, str, float]]:
     """Yield the numeric constants of all modules: file, statement, name, value."""
     for file in FILES.values():
-        for node in ast.parse(file.read_text(encoding="utf-8")).body:
+        for node in parsed(file).body:
             if isinstance(node, ast.Assign) and isinstance(node.targets[0], ast.Name):
                 try:
                     value = eval(ast.unparse(node.value), {"__builtins__": {}}, vars(floats))
@@ -191,7 +184,7 @@ def sizes_of(kind):
     count, sizes = runpy.run_path(str(ROOT / ".ci" / "count.py"))["count"], []
     for file in FILES.values():
         lines = file.read_text(encoding="utf-8").splitlines(keepends=True)
-        for node in ast.parse("".join(lines)).body:
+        for node in parsed(file).body:
             if isinstance(node, kind) and node.end_lineno - node.lineno > 40:
                 sizes.append((count("".join(lines[node.lineno - 1 : node.end_lineno]))[0], node))
     return sorted(sizes, key=lambda one: one[0], reverse=True)
@@ -219,8 +212,8 @@ def test_the_package_offers_a_file_nothing_but_the_version():
     rooms = {room_of(module) for module in FILES}
     names = set()
     for file in FILES.values():
-        depth, text = len(file.relative_to(PACKAGE).parts), file.read_text(encoding="utf-8")
-        for node in ast.walk(ast.parse(text)) if f"from {depth * '.'} import" in text else ():
+        depth = len(file.relative_to(PACKAGE).parts)
+        for node in ast.walk(parsed(file)):
             if isinstance(node, ast.ImportFrom) and node.module is None and node.level == depth:
                 names |= {alias.name for alias in node.names}
     assert names - rooms == {"__version__"}

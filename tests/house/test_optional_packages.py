@@ -77,7 +77,6 @@ LEARN, STRATEGIES = "lcp_plugin.interfaces.learn", "lcp_plugin.strategies"
 NONLINEAR = "lcp_plugin.NonlinearProblem"
 QPSOLVERS = "from lcp_plugin.interfaces import qpsolvers as q\nq.register_with_qpsolvers()"
 USES = [  # the hidden package, a use of it, a part of the message, the extra that it names
-    ("hypothesis", f"from lcp_plugin import *\nimport {STRATEGIES}", f"{STRATEGIES} needs hypothesis", "test"),
     ("hypothesis", STRATEGIES, f"{STRATEGIES} needs hypothesis", "test"),
     ("hypothesis", f"import pydoc\npydoc.locate('{STRATEGIES}')", f"{STRATEGIES} needs hypothesis", "test"),
     ("torch", f"import {LEARN}\nimport {LEARN}.torch", f"{LEARN}.torch needs PyTorch", "torch"),
@@ -87,6 +86,7 @@ USES = [  # the hidden package, a use of it, a part of the message, the extra th
     ("jax", f"{NONLINEAR}.from_jax(abs)", "NonlinearProblem.from_jax needs JAX", "jax"),
     ("casadi", f"{NONLINEAR}.from_casadi(0, 0)", "NonlinearProblem.from_casadi needs CasADi", "casadi"),
     ("h5py", H5, "is read by h5py", "fclib"),
+    ("hypothesis", f"from lcp_plugin import *\nimport {STRATEGIES}", f"{STRATEGIES} needs hypothesis", "test"),
 ]  # fmt: skip
 
 

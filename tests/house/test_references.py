@@ -6,10 +6,9 @@ import ast
 import importlib
 import re
 from functools import cache
-from pathlib import Path
 
-ROOT = Path(__file__).parents[2]
-PACKAGE = ROOT / "lcp_plugin"
+from test_architecture import PACKAGE, ROOT, parsed
+
 SOURCES = sorted(PACKAGE.rglob("*.py"))
 PAGES = sorted([ROOT / "README.md", *(ROOT / "examples").rglob("*.md")])
 ROLE = re.compile(r":(?:func|class|meth|mod|attr):`~?([^`]+)`")
@@ -22,7 +21,7 @@ def defined_names() -> frozenset[str]:
     """Return every function, class, method (``Class.method``) and module name of the package."""
     names = {file.stem if file.stem != "__init__" else file.parent.name for file in SOURCES}
     for file in SOURCES:
-        for node in ast.walk(ast.parse(file.read_text(encoding="utf-8"))):
+        for node in ast.walk(parsed(file)):
             if isinstance(node, (ast.FunctionDef, ast.ClassDef)):
                 names.add(node.name)
             if isinstance(node, ast.ClassDef):

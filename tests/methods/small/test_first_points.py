@@ -58,7 +58,7 @@ def test_sweeps_guess_once(how, monkeypatch):
     counts, guess = [], small.guess
     monkeypatch.setattr(small, "guess", lambda data: counts.append(1) or guess(data))
     rng = np.random.default_rng(0)
-    for _ in range(60):
+    for _ in range(8):
         problem = LCP(rng.normal(size=(8, 8)), rng.normal(size=8))
         plain = solve(problem, prove_infeasibility=False, max_iterations=20)
         counts.clear()

@@ -39,9 +39,9 @@ def solved(result: Result) -> np.ndarray:
 # --- published ---------------------------------------------------------------------------------------------------
 
 
-def test_both_solutions_of_kojima_and_shindo_are_found():
+def test_both_solutions_of_kojima_and_shindo_are_found(draws):
     """Both solutions are found, depending on the start."""
-    starts = np.random.default_rng(0).uniform(0, 3, (40, 4))
+    starts = np.random.default_rng(0).uniform(0, 3, (len(draws(40, 4)), 4))
     found = {
         tuple(solved(solve(NonlinearProblem(models.kojima_shindo), x0=x0)).round(4) + 0.0)
         for x0 in starts

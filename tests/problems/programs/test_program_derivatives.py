@@ -53,11 +53,9 @@ def agree(found: Any, dx: Any, d: dict[str, Any], accuracy: float) -> None:
     assert inner(found.vjp(g), d) == pytest.approx(g @ dx, abs=accuracy * size * np.abs(g).sum())
 
 
-@pytest.mark.quick(1)
-@pytest.mark.parametrize("first", range(0, 300, 100))
-def test_the_derivative_of_a_program_is_that_of_differences(first):
-    """300 random programs, in all data at once, to 1e-6; every tenth is sparse."""
-    for seed in range(first, first + 100):
+def test_the_derivative_of_a_program_is_that_of_differences(draws):
+    """Of random programs, in all data at once, to 1e-6; every tenth is sparse."""
+    for seed in draws(300, 10):
         data = differentiable_program(seed)
         d = changes(data, seed)
         ahead, behind = (solve(QuadraticProgram(**shifted(data, d, s))).x for s in (STEP, -STEP))
@@ -82,9 +80,9 @@ def test_a_kink_is_found_although_the_data_are_rounded_in_other_units(seed, unit
         found.jvp(dh=[1.0])
 
 
-def test_degenerate_programs_are_refused_by_the_name_of_the_part():
-    """60 random ones; one-sided derivatives are those of differences on that side."""
-    for seed in range(60):
+def test_degenerate_programs_are_refused_by_the_name_of_the_part(draws):
+    """Of random ones the one-sided derivatives are those of differences on that side."""
+    for seed in draws(60, 5):
         data = differentiable_program(seed, is_degenerate=True)
         result = solve(QuadraticProgram(**data))
         found = derivative(result)

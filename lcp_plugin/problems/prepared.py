@@ -59,7 +59,7 @@ class PreparedProblem(Generic[P]):
         stated: Any = problem
         self._known = [stated.start_name, *stated.vector_names, *stated.matrix_names]
 
-    @public
+    @partial(public, name="step.solve")
     def solve(self, *, warm: bool = False, **data: Any) -> Any:
         """Return the result of the problem with these data; data that are not passed are the prepared problem's.
 
@@ -78,7 +78,8 @@ class PreparedProblem(Generic[P]):
         if unknown := data.keys() - set(self._known):
             name, known = min(unknown), self._known
             hint = "; the linear term is called c" if name == "q" and "c" in known else ""
-            raise InvalidOption(f"step.solve takes no {name}{hint or did_you_mean(name, known)}")
+            hint = hint or f"{did_you_mean(name, known)}; options of a run belong to prepare"
+            raise InvalidOption(f"step.solve takes no {name}{hint}")
         problem: Any = self.problem
         start = data.pop(problem.start_name, None)
         if start is None and warm and not getattr(self.last, "has_no_solution", True):

@@ -31,9 +31,7 @@ def solver_with(
     if name not in classes_of(function):
         raise InvalidOption(refusal(function, problem))
     if isinstance(algorithm, (np.ndarray, list, tuple)):
-        raise UnknownAlgorithm(
-            f"algorithm must be a name or an object, got {algorithm!r}; a start is z0=…"
-        )
+        raise UnknownAlgorithm("algorithm must be a name or an object; a start is z0=…")
     if not isinstance(algorithm, str) or algorithm != "auto":
         options["algorithm"] = algorithm
     if callable(callback := options.get("callback")):  # it keeps the caller's floating-point state

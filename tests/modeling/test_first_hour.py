@@ -127,11 +127,15 @@ MESSAGES: dict[str, tuple[Any, str]] = {
     ),
     "data by position": (
         lambda: prepare(LCP([[1.0]], [1.0])).solve([1.0]),
-        r"too many positional arguments; write PreparedProblem.solve\(warm=…, \*\*data\)",
+        r"too many positional arguments; write step.solve\(warm=…, \*\*data\)",
     ),
     "q of a program": (
         lambda: prepare(QuadraticProgram(np.eye(2), [1, 1])).solve(q=[1, 2]),
         "step.solve takes no q; the linear term is called c",
+    ),
+    "a limit of a step": (
+        lambda: prepare(LCP([[1.0]], [1.0])).solve(max_seconds=1),
+        "options of a run belong to prepare",
     ),
     "method": (lambda: solve(LCP([[1.0]], [1.0]), method="psor"), "did you mean algorithm=…"),
     "a positional bound": (

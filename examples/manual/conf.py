@@ -107,6 +107,36 @@ def split_table(app, docname: str, source: list[str]) -> None:
     source[0] = before + "\n".join(sections) + "\n" + after
 
 
+def expand_names(app, docname: str, source: list[str]) -> None:
+    """Turn each block ``{names}`` of the reference into one directive per name, in place."""
+
+    def expand(block: re.Match[str]) -> str:
+        (kind, *options), names = block[1].split(), block[2].split()
+        texts = []
+        for name in names:
+            directive = "automodule" if kind == "topic" else kind
+            flags = (
+                ["no-members", *["no-index"] * (name != "lcp_plugin")]
+                if kind == "topic"
+                else options
+            )
+            lines = [
+                "```{eval-rst}",
+                ".. currentmodule:: lcp_plugin",
+                "",
+                f".. {directive}:: {name}",
+            ]
+            title = f"### {name}\n\n" if kind == "topic" else ""
+            texts.append(
+                "\n".join(
+                    [title + lines[0], *lines[1:], *(f"   :{flag}:" for flag in flags), "```"]
+                )
+            )
+        return "\n\n".join(texts)
+
+    source[0] = re.sub(r"^```\{names\} (.*)\n([^`]*)```", expand, source[0], flags=re.M)
+
+
 def link_scripts(app, tree) -> None:
     """Turn links to Python scripts into links to their pages, in place."""
     here = posixpath.dirname(app.env.current_document.docname)
@@ -126,8 +156,9 @@ def collect_scripts(app):
 
 
 def setup(app) -> None:
-    """Register the repair of docstrings, the sections of algorithms and the pages of scripts."""
+    """Register the repair of docstrings, the sections of algorithms and names, and the pages of scripts."""
     app.connect("autodoc-process-docstring", repair_docstring, priority=900)
     app.connect("source-read", split_table)
+    app.connect("source-read", expand_names)
     app.connect("doctree-read", link_scripts)
     app.connect("html-collect-pages", collect_scripts)

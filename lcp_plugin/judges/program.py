@@ -5,34 +5,36 @@ multipliers with a wrong sign to 0, and takes the gradient r = P x + c + Cᵀy f
 T_i = Σ_j |c_ij x_j| + |d_i| and K = 1000, it requires
 
 1. rows: each row is violated by at most 1e-9 T_i;
-2. gap: in each connected component, Σ |y_i| |C x − d|_i + Σ |r_j| reach_j + max |r_j| way_j ≤ tolerance · size.
+2. gap: in each connected component, Σ |y_i| |C x − d|_i + Σ |r_j| reach_j + max |r_j| far_j ≤ tolerance · size.
 
 - size = |cᵀx| + |xᵀP x|, at least 1e-8 of Σ |c_j x_j| + |xᵀP x|, and at least 1e-6 of Σ y'_i T_i.
 - price_j = |c_j| + |P x|_j + Σ_i |c_ij| y'_i; way_j = K size / price_j is the move of x_j that costs K objectives.
-- reach_j is the distance from x_j to the bound to which −r_j pushes; beyond way_j it is at most K |x_j|, and only then
-  the last term counts.
+- D_j is the distance from x_j to the bound to which −r_j pushes: reach_j = D_j and far_j = 0 if D_j ≤ way_j, otherwise
+  reach_j = min(D_j, K |x_j|) and far_j = way_j.
 - y'_i is |y_i|, at most the largest |P x + c|_j of unknowns off their bounds, divided by the largest |c_ij|.
 
-If this sum fails, unknowns F off their bounds with p_jj > 0 and r_j at the rounding level of its terms count with
-½ r_FᵀP_FF⁻¹ r_F, the largest gain of their moves, if P_FF less n (n + 3) ε of its diagonal has a Cholesky factor. The
-other r_j are then those after the step −P_FF⁻¹ r_F.
+If the gap fails, it is computed with curvature: F are the unknowns off their bounds with p_jj > 0 and r_j at the
+rounding level of its terms. If P_FF less n (n + 3) ε of its diagonal has a Cholesky factor, ½ r_FᵀP_FF⁻¹ r_F, the
+largest gain of moves of F, replaces the terms of F; for the other terms, r is taken after the step −P_FF⁻¹ r_F.
 
-So no feasible point is better by more than the tolerance if its unknowns differ by at most K |x_j| and by moves that
-cost together at most K times the objective; at t times these moves, the gain is at most t times the tolerance. If c_j =
-0 and r_j is at the rounding level of P x, |P| |x| takes the place of |P x| in price_j; if all costs of a component are
-0, in price_j and in the size. Multipliers of a component where P x + c = 0 are 0: no point is better. Sums are plain,
-with bounds of rounding errors; if these do not decide, sums are computed without rounding.
+So no feasible point is better by more than the tolerance if each unknown differs by at most K |x_j| plus a move, and
+the moves cost together at most K times the objective; at t times these moves, the gain is at most t times the
+tolerance. If c_j = 0 and r_j is at the rounding level of P x, |P| |x| replaces |P x| in price_j. In a component whose
+costs are all 0, it does so for every j, and the size is at least 1e-6 of |x|ᵀ|P| |x| + Σ y'_i T_i. Multipliers of a
+component where P x + c = 0 are 0: no point is better. Sums are plain, with bounds of rounding errors; if these do not
+decide, sums are computed without rounding.
 
-Each row is measured by itself. Two kinds of noise count as 0:
+Each row is measured relative to T_i. Two kinds of noise count as 0:
 
-- an x_j of at most 2⁻⁴² of the largest unknown of its component: a point that fails is also tested with these zeros;
-- the side d_i of a row whose terms c_ij x_j are all 0, if |d_i| is at most 8 ε max_j |c_ij| max_j |x_j| of its
-  component. In the gap it costs what any of its unknowns costs: |y_i| is at least the largest price_j/|c_ij|.
+- an x_j of at most 2⁻⁴² of the largest unknown of its component, or of at most 2⁻¹⁰⁰⁰: a point that fails is tested
+  again with these zeros;
+- the side d_i of a row with entries whose terms c_ij x_j are all 0, if |d_i| is at most 8 ε max_j |c_ij| max_j |x_j| of
+  its component. In the gap, |y_i| of this row is at least the largest price_j/|c_ij|.
 
-Limits: a coefficient of 1e11 in another row may make a violation of 9e-10 expensive. A program may be unbounded
-although a program within
-1e-10 of it has a minimum. An objective below 1e-12 of the terms of the rows, weighted with their multipliers, or below
-1e-14 of its terms, counts as 0. Costs beyond 2^1000 overflow.
+Limits: if a row has a coefficient of 1e11, a violation of another row by 9e-10 T_i may lower the objective of a point
+that passes by more than the tolerance. A program may be unbounded although a program within 1e-10 of it has a minimum.
+An objective below 1e-12 of the terms of the rows, weighted with their multipliers, or below 1e-14 of its terms, counts
+as 0. Costs beyond 2^1000 overflow.
 """
 
 from __future__ import annotations
@@ -57,7 +59,7 @@ Indices = NDArray[np.intp]
 PROGRAM_TOLERANCE = 1e-6  # of the gap, by default
 ROWS = 1e-9  # of the rows, at every tolerance
 NEARLY = (1e-6, 1e-3)  # rows and gap: a point beyond is not even inaccurately optimal
-NOISE = 1e-5  # of the coefficients of a row: ROWS of this contradicts nothing
+NOISE = 1e-5  # of the coefficients of a row: its limit counts as at least that large in a proof
 BLUR = 8.0 * UNIT  # of the terms of a sum: error of the data
 CANCELLED = 1e-8  # share of the objective's terms to which they may cancel
 LEAST_SIZE = 1e-6  # of the rows' terms with their multipliers
@@ -69,7 +71,7 @@ LEAST_PRICE = 2.0**-1000  # quotients by it are finite
 
 
 class KKTErrors(NamedTuple):
-    """The two measures of a point: its worst row, and its worst component's gap; ∞ if a number is not finite."""
+    """The largest error of a row of a point, and the largest gap of a component; ∞ if a number is not finite."""
 
     primal: Any
     gap: Any
@@ -84,19 +86,19 @@ class KKTErrors(NamedTuple):
 
     @property
     def largest(self) -> Any:
-        """The larger of both, with the rows' error in units of the gap's default tolerance."""
+        """The larger measure; an error of the rows counts 1000 times, the ratio of the default tolerances."""
         return np.maximum(self.primal * (PROGRAM_TOLERANCE / ROWS), self.gap)
 
     @classmethod
     def of(cls, program: JudgedProgram, x: Vector, y: Vector, tolerance: float) -> KKTErrors:
-        """Return the errors of x and multipliers y of G and A; bounds of them if these meet the tolerance already."""
+        """Return the errors of x and multipliers y of G and A, or upper bounds that meet the tolerance."""
         return cls.with_point(program, x, y, tolerance)[0]
 
     @classmethod
     def with_point(
         cls, program: JudgedProgram, x: Vector, y: Vector, tolerance: float
     ) -> tuple[KKTErrors, Vector]:
-        """Return the errors and x; if only x with zeros at rounding level meets the tolerance, both of that point."""
+        """Return the errors and x; with zeros at rounding level, if the tolerance is met only with them."""
         errors = cls._at(program, x, y, tolerance)
         if not errors.meet(tolerance) and (near := with_zeros(program, x)) is not x:
             again = cls._at(program, near, y, tolerance)
@@ -127,7 +129,7 @@ class KKTErrors(NamedTuple):
 
 
 class ProgramComponents(NamedTuple):
-    """The parts of a program that no entry connects: the number of each unknown's and row's, and how many there are."""
+    """Connected components of a program: the component of each unknown and of each row, and their number."""
 
     of_unknown: Indices
     of_row: Indices
@@ -334,7 +336,7 @@ class PrimalDualPoint:
 
     @cached_property
     def noise(self) -> Vector:
-        """Size below which the side of a row counts as 0, shape (m + p,); 0 unless it has terms, which are all 0."""
+        """Size up to which the side of a row counts as 0, (m + p,); 0 unless it has entries, and its c_ij x_j are 0."""
         parts = self.terms.components
         most = BLUR * self.terms.row_sizes * parts.largest(self.of_x)[parts.of_row]
         is_noise = (self.row_terms == self.limits) & (self.limits <= most) & (self.terms.counts > 0)
@@ -418,7 +420,7 @@ class PrimalDualPoint:
 
     @property
     def needed_y(self) -> Vector:
-        """Sizes of the multipliers: each at most balances P x + c at an unknown that is off its bounds.
+        """Sizes of the multipliers, limited so that no row does more than balance P x + c at unknowns off their bounds.
 
         An unknown at rounding level of its component is at its bound.
         """
@@ -452,9 +454,10 @@ def least_size(program: JudgedProgram, x: Vector, y: Vector) -> float:
 
 
 def with_zeros(program: JudgedProgram, x: Vector) -> Vector:
-    """Return x with 0 for unknowns at rounding level of the largest of their component; x itself if there are none."""
+    """Return x with 0 for unknowns that count as 0 next to the largest of their component; x itself without any."""
     parts, sizes = program.terms.components, np.abs(x)
-    is_noise = (sizes <= NEGLIGIBLE * parts.largest(sizes)[parts.of_unknown]) & (x != 0.0)
+    least = np.maximum(NEGLIGIBLE * parts.largest(sizes), LEAST_PRICE)
+    is_noise = (sizes <= least[parts.of_unknown]) & (x != 0.0)
     is_noise &= (program.lower <= 0.0) & (program.upper >= 0.0)
     return np.where(is_noise, 0.0, x) if is_noise.any() else x
 
@@ -488,7 +491,7 @@ def ratio(errors: Vector, sizes: Vector) -> Vector:
 def sharp_errors(program: JudgedProgram, x: Vector, y: Vector) -> KKTErrors:
     """Return upper bounds of the two measures of a point of a dense program, by few plain sums; ∞ where costs vanish.
 
-    A reach is at most a way and K |x_j|, a way at most K size / price, and further terms only raise sizes and prices.
+    reach_j ≤ way_j + K |x_j| and way_j ≤ K size / price_j; further terms only raise sizes and prices.
     """
     terms, c, d, m = program.terms, program.c, program.d, program.terms.m
     n, rows, (both, of_both) = x.size, y.size, terms.both
@@ -557,7 +560,7 @@ def dense_errors(P, C, sizes, c, d, m, lower, upper, point, multipliers):  # typ
     of_left, price = np.abs(left), np.abs(product) - lost + cost
     r, curved = of_left + doubt, max(abs(x @ product) - of_x @ lost, 0.0)
     size = abs(c @ x) + curved
-    # A reach is at most a way and K |x_j|, a way at most K size/price, and more terms only raise sizes and prices
+    # reach_j ≤ way_j + K |x_j|, way_j ≤ K size / price_j; further terms only raise sizes and prices
     gap = (of_y @ missed + MOVES * (r @ of_x)) / size + 2.1 * MOVES * (r @ (1.0 / price))
     if price.min() > 0.0 and gap <= SHARP * (n + rows):
         return primal, gap

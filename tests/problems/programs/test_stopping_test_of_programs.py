@@ -632,3 +632,11 @@ def test_drawn_transports_are_solved_and_proved_as_without_the_forbidden_pairs(s
         assert result.is_solved
         assert not forbidding_costs.is_wrong(result.objective, known)
         assert certify(program, result).verdict == "proved"
+
+
+def test_an_unknown_below_the_smallest_price_counts_as_0_for_certify_also():
+    """x_2 = 3.5e-319 violates 4 x_2 ≤ x_1 = 0 by all of its terms; solve accepts such a point, and so does certify."""
+    program = QuadraticProgram(np.eye(2), [1.0, 1.0], [[-1.0, 4.0]], [0.0], lower=0.0)
+    assert KKTErrors.of(program.judged, np.array([0.0, 3.5e-319]), np.zeros(1), 1e-6).meet(1e-6)
+    assert certify(program, [0.0, 3.5e-319]).verdict == "proved"
+    assert certify(program, [0.0, 3.5e-19]).verdict == "disproved"

@@ -49,7 +49,7 @@ def _wrong_call(
     name: str, signature: inspect.Signature, named: Iterable[str], wrong: object
 ) -> str:
     """Return the message for arguments that a function does not take: Python's words, and the possible call."""
-    forms = {"KEYWORD_ONLY": "{}=…", "VAR_POSITIONAL": "*{}", "VAR_KEYWORD": "**{}"}
+    forms = {"KEYWORD_ONLY": "{}=…", "VAR_POSITIONAL": "*{}", "VAR_KEYWORD": "name=…"}
     known = {
         key: forms.get(one.kind.name, "{}").format(key)
         for key, one in signature.parameters.items()

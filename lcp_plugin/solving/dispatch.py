@@ -92,6 +92,8 @@ def method_of(algorithm: object, options: dict[str, Any]) -> Algorithm | None:
             hint = did_you_mean(next(iter(options)), (), OF_SOLVE)
             if {"method", "solver"} & options.keys():
                 hint = "; did you mean algorithm=…?"
+            if "prove" in options:
+                hint = "; prove=True needs an objective; did you mean prove_infeasibility=…?"
             name_one = "" if "did you mean" in hint else "; name an algorithm as well"
             raise InvalidOption(
                 f'algorithm="auto" has no options, got {sorted(options)}{name_one}{hint}'

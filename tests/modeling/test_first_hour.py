@@ -127,7 +127,16 @@ MESSAGES: dict[str, tuple[Any, str]] = {
     ),
     "data by position": (
         lambda: prepare(LCP([[1.0]], [1.0])).solve([1.0]),
-        r"too many positional arguments; write step.solve\(warm=…, \*\*data\)",
+        r"step.solve: too many positional arguments; write step.solve\(warm=…, name=…\)",
+    ),
+    "four rows a contact": (
+        lambda: FrictionalContact(np.eye(4), np.ones(4), [0.5], dimension=4),
+        "dimension, the rows of a contact, must be 3, or 2 in the plane, got 4",
+    ),
+    "no point": (lambda: certify(QuadraticProgram(np.eye(1), [1.0])), "write certify.program, x."),
+    "a proof without an objective": (
+        lambda: solve(LCP([[1.0]], [1.0]), prove=True),
+        "prove=True needs an objective",
     ),
     "q of a program": (
         lambda: prepare(QuadraticProgram(np.eye(2), [1, 1])).solve(q=[1, 2]),

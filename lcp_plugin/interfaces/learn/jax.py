@@ -81,8 +81,8 @@ def lcp_layer(
     Notes
     -----
     Gradients go backward: ``jax.grad``, ``jax.vjp``, ``jax.jacrev``, also under ``jit`` and ``vmap``; a mapped axis
-    becomes a batch axis. Within ``jit``, small problems have forward derivatives also, and second ones. An option other
-    than ``tolerance`` is one of the host, where all problems are then solved.
+    becomes a batch axis. Within ``jit`` and without `fallback`, small problems have forward and second derivatives. An
+    option other than ``tolerance`` is one of the host, where all problems are then solved.
 
     Examples
     --------

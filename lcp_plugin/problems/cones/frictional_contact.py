@@ -364,8 +364,9 @@ def dimension_of(dimension: int | None, friction: tuple[int, ...], rows: int) ->
         dimension = rows // count
     d = 3 if dimension is None and rows % 3 == 0 else 2 if dimension is None else dimension
     if isinstance(d, bool) or not isinstance(d, (int, np.integer)) or d not in (2, 3):
+        got = f"got {d!r} ({rows} rows and {count} coefficients of friction)"
         raise InvalidProblem(
-            f"a contact has 3 rows, or 2 in the plane, got {d!r}: {rows} rows and {count} coefficients of friction"
+            f"dimension, the rows of a contact, must be 3, or 2 in the plane, {got}"
         )
     if rows % d:
         need = "3, nor, in the plane, of 2" if dimension is None else d

@@ -319,7 +319,7 @@ def claimed_point(
     """Return x, and multipliers of all constraints; for a pair, bounds get the remaining gradient."""
     if x is None:
         raise InvalidProblem(
-            "certify needs the x that is claimed to be optimal; give certify(program, x), or a claim"
+            'certify needs an x; write certify(program, x), or certify(program, claim="infeasible")'
         )
     if isinstance(x, QuadraticProgramResult):
         x = x.solution

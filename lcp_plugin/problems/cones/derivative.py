@@ -64,10 +64,10 @@ class StackDerivative(LinearizedSystem):
         rounding error.
         """
         stack = self.stack
-        if stack.has_friction:
-            sticks = stack.residual(z, w)[1] == WITHIN
-            w = np.where(sticks[..., None], 0.0, w)
-        self.point, self.projection = (z, w), stack.residual(z, w)
+        sticks = stack.has_friction & (stack.residual(z, w)[1] == WITHIN)
+        w = np.where(sticks[..., None], 0.0, w)
+        R, case, *others = stack.residual(z, w)
+        self.point, self.projection = (z, w), (R, np.where(sticks, WITHIN, case), *others)
         self.by_z, self.by_w = stack.derivative(w, *self.projection[1:])
         self.is_free = self.by_w.any((-1, -2))
 
@@ -230,9 +230,14 @@ class ConeDerivative:
             return of.tangent(self._moved(dq, dM)[None], of_bounds, of.by_friction * slopes)[0]
 
         dz, is_there = change(self._of), (self.z <= problem.lower, self.z >= problem.upper)
-        of_bound = self._by_bound(is_there, low, high)
+        # A wider cone places z as a larger normal force does
+        first = problem.starts[:-1]
+        moved = -self._by_bound(is_there, low, high)
+        moved[first] += (
+            self.z[first] * slopes[first] / np.where(problem.slope > 0.0, problem.slope, np.inf)
+        )
         for _ in range(PIECES if self.degenerate.size else 0):
-            piece = self._of.branch_towards((dz - of_bound)[None], self.dw(dz, dq=dq, dM=dM)[None])
+            piece = self._of.branch_towards((dz + moved)[None], self.dw(dz, dq=dq, dM=dM)[None])
             last, dz = dz, change(piece)
             if np.abs(dz - last).max(initial=0.0) <= ALIKE * np.abs(dz).max(initial=0.0):
                 break

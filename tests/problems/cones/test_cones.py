@@ -469,6 +469,22 @@ def test_a_contact_close_to_its_limit_of_friction_sticks():
     assert not found.degenerate.size
 
 
+@pytest.mark.parametrize("seed", range(5))
+def test_friction_at_the_limit_of_sticking_has_one_sided_derivatives(seed):
+    """Less friction moves contacts that hold with all of it, more friction moves none: as differences."""
+    rng = np.random.default_rng(seed)
+    B, mu, n = rng.normal(size=(6, 6)), rng.integers(1, 8, 2) / 8.0, rng.integers(1, 5, 2)
+    z = np.array([n[0], mu[0] * n[0], 0.0, n[1], 0.6 * mu[1] * n[1], 0.8 * mu[1] * n[1]])
+    W = [np.eye(6), B @ B.T + np.eye(6)][seed % 2]
+    found = derivative(solve(FrictionalContact(W, -W @ z, mu)))
+    for dmu in ([-1.0, 0.5], [0.3, -2.0], [1.0, 1.0], [-1.0, -1.0]):
+        moved = FrictionalContact(W, -W @ z, mu + 1e-7 * np.array(dmu))
+        step = (solve(moved, tolerance=1e-13).z - z) / 1e-7
+        np.testing.assert_allclose(
+            found.jvp(dfriction=dmu), step, atol=1e-4 * (1 + abs(step).max())
+        )
+
+
 @pytest.mark.parametrize("unit", [1.0, 1e-170, 1e170])
 def test_a_sliding_contact_of_any_size_has_a_derivative(unit):
     """Squares may leave the range of doubles: 1e±170 times the velocities makes 1e±170 times the derivative."""

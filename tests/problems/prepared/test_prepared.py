@@ -26,7 +26,6 @@ from lcp_plugin import (
     solve,
     solve_batch,
 )
-from lcp_plugin.engines import solvers
 from lcp_plugin.judges.program import KKTErrors, PrimalDualPoint, sharp_errors
 
 INF = np.inf
@@ -275,53 +274,6 @@ def test_watched_least_squares_have_the_bits_of_a_call_without_options(draws):
         assert (bare.status, bare.stages) == (watched.status, watched.stages)
         assert bare.x.tobytes() == watched.x.tobytes()
         assert prepare(problem).solve(b=problem.b).x.tobytes() == bare.x.tobytes()
-
-
-PROGRAM = QuadraticProgram(
-    np.eye(4) + 1.0, [1.0, -2.0, 0.5, -1.0], np.arange(12.0).reshape(3, 4) % 5.0 - 2.0, np.ones(3)
-)
-TWO = QuadraticProgram(
-    np.kron(np.eye(2), PROGRAM.P),
-    np.tile(PROGRAM.c, 2),
-    np.kron(np.eye(2), PROGRAM.G),
-    np.tile(PROGRAM.h, 2),
-)
-PROGRAM_CALLS: dict[str, Any] = {
-    "a time limit": lambda: solve(PROGRAM, max_seconds=60.0),
-    "a default": lambda: solve(PROGRAM, verbose=False),
-    "a start": lambda: solve(PROGRAM, z0=np.zeros(7)),
-    "two components": lambda: solve(TWO),
-    "prepared, a time limit": lambda: prepare(PROGRAM, max_seconds=60.0).solve(),
-    "prepared, a start": lambda: prepare(PROGRAM).solve(c=PROGRAM.c, z0=np.zeros(7)),
-    "prepared, lists": lambda: prepare(PROGRAM).solve(c=PROGRAM.c.tolist(), lower=-50),
-    "prepared, matrices": lambda: prepare(PROGRAM).solve(P=PROGRAM.P, G=PROGRAM.G.tolist()),
-    "prepared, two components": lambda: prepare(TWO).solve(c=TWO.c),
-}
-
-
-@pytest.mark.quick
-@pytest.mark.parametrize("name", PROGRAM_CALLS)
-def test_a_small_program_is_solved_without_a_run(name, monkeypatch):
-    """Limits, starts, components, matrices and other forms of the data lead to no run."""
-
-    def refuse(*_: Any) -> None:
-        raise AssertionError
-
-    monkeypatch.setattr("lcp_plugin.problems.programs.solving.ProgramRun", refuse)
-    result = PROGRAM_CALLS[name]()
-    assert result.is_solved
-    assert np.allclose(result.x[:4], solve(PROGRAM).x, atol=1e-9)
-
-
-@pytest.mark.quick
-def test_daqp_is_called_once(monkeypatch):
-    """A run takes the end of daqp on a program that it does not solve."""
-    counts, call = [], solvers.call_daqp
-    monkeypatch.setattr(solvers, "call_daqp", lambda *data: counts.append(1) or call(*data))
-    solve(QuadraticProgram(PROGRAM.P, PROGRAM.c, PROGRAM.G, PROGRAM.h - 1e12))
-    G = np.vstack([PROGRAM.G, -PROGRAM.G[:1]])
-    solve(QuadraticProgram(PROGRAM.P, PROGRAM.c, G, np.append(PROGRAM.h, -2.0)))
-    assert len(counts) == 2
 
 
 @pytest.mark.quick

@@ -40,7 +40,7 @@ as 0. Costs beyond 2^1000 overflow.
 from __future__ import annotations
 
 from dataclasses import dataclass
-from functools import cached_property, partial
+from functools import cached_property
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -49,7 +49,7 @@ from numpy.typing import NDArray
 
 from ..core.checks import AnyMatrix, Vector
 from ..core.entries import clip, entries_of_rows, largest_in_rows, largest_products
-from ..core.kernels.compilation import kernel
+from ..core.kernels.compilation import helper, kernel
 from ..core.kernels.floats import DATA_ROUNDING, NEGLIGIBLE, UNIT
 from ..core.rounding import compensated_product
 from ..core.structure import components_of_links
@@ -66,6 +66,7 @@ LEAST_SIZE = 1e-6  # of the rows' terms with their multipliers
 MOVES = 1000.0  # times its size, an unknown without a bound is moved
 SMALLEST_SIZE = 2.0**-900  # of the gap: if all terms are 0, gradients are relative to their terms
 SHARP = 32.0 * MOVES * UNIT  # per unknown and row: below this gap, plain sums show no error
+NO_POLISH = 4.0 * SHARP  # per unknown and row: daqp ends at 1 to 3.5 SHARP
 INF = float("inf")
 LEAST_PRICE = 2.0**-1000  # quotients by it are finite
 
@@ -110,15 +111,10 @@ class KKTErrors(NamedTuple):
         errors, terms = cls(np.inf, np.inf), program.terms
         if terms.is_dense and tolerance:
             errors = sharp_errors(program, x, y)
-            if errors.meet(tolerance) and errors.gap <= SHARP * (x.size + y.size):
-                return errors
-        if terms.is_one_dense_component and tolerance:
-            data = program.c, program.d, terms.m, program.lower, program.upper, x, y
-            errors = cls(*map(float, MEASURE_IN_PYTHON(terms.P, terms.C, terms.sizes, *data)))
-            if errors.meet(tolerance):
+            if errors.meet(tolerance) and errors.gap <= NO_POLISH * (x.size + y.size):
                 return errors
         if np.isfinite(x).all() and np.isfinite(y).all():
-            for is_exact in (True,) if terms.is_one_dense_component else (False, True):
+            for is_exact in (False, True):
                 point = PrimalDualPoint(program, x, y, is_exact=is_exact)
                 both = point.row_errors(), point.gaps(tolerance or SHARP)
                 largest = np.nan_to_num([error.max(initial=0.0) for error in both], nan=np.inf)
@@ -193,11 +189,6 @@ class ProgramTerms:
         return entries_of_rows(self.C)
 
     @cached_property
-    def sizes(self) -> tuple[Any, Any, Vector]:
-        """The sizes that :func:`dense_errors` takes."""
-        return self.entry_sizes[2], self.entry_sizes[3], self.row_sizes
-
-    @cached_property
     def row_sizes(self) -> Vector:
         """Largest |entry| of each row of C; 1 for a row without entries."""
         sizes = largest_products(self.entry_sizes[3], np.ones(self.P.shape[0]))
@@ -228,12 +219,6 @@ class ProgramTerms:
         """True if :func:`sharp_errors` measures programs with these matrices."""
         m, n = self.C.shape
         return isinstance(self.P, np.ndarray) and 0 < n <= 400 >= m
-
-    @cached_property
-    def is_one_dense_component(self) -> bool:
-        """True if :func:`dense_errors` measures programs with these matrices."""
-        n = self.C.shape[1]
-        return self.is_dense and bool((self.counts == n).any() or self.components.number == 1)
 
     @cached_property
     def both(self) -> tuple[Vector, Vector]:
@@ -489,101 +474,79 @@ def ratio(errors: Vector, sizes: Vector) -> Vector:
 
 
 def sharp_errors(program: JudgedProgram, x: Vector, y: Vector) -> KKTErrors:
-    """Return upper bounds of the two measures of a point of a dense program, by few plain sums; ∞ where costs vanish.
+    """Return upper bounds of the two measures of a point of a dense program, by plain sums; ∞ where costs vanish."""
+    (terms, *_), parts = program, program.terms.components
+    data = *sharp_sums(*terms.both, terms.m, *program[1:], x, y), parts.of_unknown, parts.of_row
+    lists = [each.tolist() for each in data]  # which Python reads faster
+    lists.append([[0.0] * 5 for _ in range(parts.number)])
+    return KKTErrors(*sharp_measures(terms.m, *lists))  # type: ignore[no-untyped-call]
+
+
+def sharp_sums(
+    both: Any, of_both: Any, m: int, c: Any, d: Any, lower: Any, upper: Any, x: Any, y: Any
+) -> tuple[Any, ...]:
+    """Return the arguments of `sharp_measures` for a point, or for points in rows: sums, c, d, the point, x and |y|."""
+    point, n, y = x, x.shape[-1], np.where(d < INF, y, 0.0)
+    x, C, of_C = clip(x, lower, upper), both[..., n:, :], of_both[..., n:, :]
+    np.maximum(y[..., :m], 0.0, out=y[..., :m])
+    of_x, of_y = np.abs(x), np.abs(y)
+    of_columns = (both @ x[..., None])[..., 0], (of_both @ of_x[..., None])[..., 0]
+    of_rows = (y[..., None, :] @ C)[..., 0, :], (of_y[..., None, :] @ of_C)[..., 0, :]
+    return *of_columns, *of_rows, c, d, point, x, of_y
+
+
+def sharp_measures(m, values, sizes, slopes, weights, c, d, point, x, of_y, part, of_row, totals):  # type: ignore[no-untyped-def]
+    """Return both measures by [P; C] x, |[P; C]| |x|, yᵀC and |y|ᵀ|C|, of arrays or lists; `totals` are 0 a component.
 
     reach_j ≤ way_j + K |x_j| and way_j ≤ K size / price_j; further terms only raise sizes and prices.
     """
-    terms, c, d, m = program.terms, program.c, program.d, program.terms.m
-    n, rows, (both, of_both) = x.size, y.size, terms.both
-    if not (x @ x < INF and y @ y < INF):
-        return KKTErrors(INF, INF)
-    point, x = x, clip(x, program.lower, program.upper)
-    is_limit = d < INF
-    d, y = np.where(is_limit, d, 0.0), np.where(is_limit, y, 0.0)
-    np.maximum(y[:m], 0.0, out=y[:m])
-    of_x, of_y, cost = np.abs(x), np.abs(y), np.abs(c)
-    values, sizes = both @ x, of_both @ of_x
-    product, bend, row_terms = values[:n], sizes[:n], sizes[n:] + np.abs(d)
-    lost, rounding = (n + 3.0) * UNIT * bend, (n + 3.0) * UNIT * row_terms
-    price = np.abs(product) - lost + cost
-    if not np.minimum.reduce(price) > 0.0:
-        return KKTErrors(INF, INF)
-    excess = values[n:] - d
-    missed = np.abs(excess) + rounding
-    over = missed.copy()
-    np.maximum(excess[:m] + rounding[:m], 0.0, out=over[:m])
-    over = np.where(is_limit, over / np.maximum(row_terms, LEAST_PRICE), 0.0)
-    primal = np.maximum.reduce(over, initial=0.0)
-    if (outside := np.abs(point - x)).any():
-        outside /= np.maximum(np.maximum(of_x, np.abs(point)), LEAST_PRICE)
-        primal = max(primal, outside.max())
-    C, of_C = terms.C, of_both[n:]
-    r = np.abs(product + c + y @ C) + (n + rows + 3.0) * UNIT * (bend + cost + of_y @ of_C)
-    size: Any
-    if (parts := terms.components).number == 1:
-        size = abs(float(c @ x)) + max(abs(float(x @ product)) - float(of_x @ lost), 0.0)
-        gap = (MOVES * (r @ of_x) + of_y @ missed) / size + 2.1 * MOVES * np.add.reduce(r / price)
-    else:
-        of_part = partial(np.bincount, parts.of_unknown, minlength=parts.number)
-        curved = np.maximum(np.abs(of_part(x * product)) - of_part(of_x * lost), 0.0)
-        size = np.abs(of_part(c * x)) + curved
-        most = of_part(MOVES * r * of_x) + np.bincount(parts.of_row, of_y * missed, parts.number)
-        gap = np.maximum.reduce(most / size + of_part(2.1 * MOVES * r / price))
-    return KKTErrors(float(primal), float(gap) if gap < INF else INF)
+    n, rows, primal, gap = len(c), len(d), 0.0, 0.0
+    of_sum, of_gradient = (n + 3.0) * UNIT, (n + rows + 3.0) * UNIT
+    for j in range(n):
+        value, linear, product, bend, total = x[j], c[j], values[j], sizes[j], totals[part[j]]
+        of_x, cost, lost, outside = abs(value), abs(linear), of_sum * bend, abs(point[j] - value)
+        price = abs(product) - lost + cost
+        r = abs(product + linear + slopes[j]) + of_gradient * (bend + cost + weights[j])
+        if not (price > 0.0 and r < INF and outside < INF):
+            return INF, INF
+        total[0] += linear * value
+        total[1] += value * product
+        total[2] += of_x * lost
+        total[3] += r * of_x
+        total[4] += r / price
+        if outside > 0.0:
+            primal = max(primal, outside / max(of_x, abs(point[j]), LEAST_PRICE))
+    for i in range(rows):
+        limit = d[i]
+        if limit < INF:
+            terms, excess = sizes[n + i] + abs(limit), values[n + i] - limit
+            rounding = of_sum * terms
+            missed = abs(excess) + rounding
+            if not missed < INF:
+                return INF, INF
+            over = excess + rounding if i < m else missed
+            if over > primal * terms:
+                primal = over / max(terms, LEAST_PRICE)
+            totals[of_row[i]][3] += of_y[i] * missed / MOVES
+    for k in range(len(totals)):
+        total = totals[k]
+        size = abs(total[0]) + max(abs(total[1]) - total[2], 0.0)
+        if not (size > 0.0 and total[3] < INF and total[4] < INF):
+            return INF, INF
+        gap = max(gap, MOVES * (total[3] / size + 2.1 * total[4]))
+    return primal, gap
+
+
+COMPILED_MEASURES = helper(sharp_measures)
 
 
 @kernel
-def dense_errors(P, C, sizes, c, d, m, lower, upper, point, multipliers):  # type: ignore[no-untyped-def]
-    """Return upper bounds of the two measures of a point of a dense program of one component; ∞ if in doubt.
-
-    `sizes` are |P|, |C| and the largest |entry| of each row of C, 1 for a row without entries.
-    """
-    n, rows, (of_P, of_C, row_sizes) = c.size, d.size, sizes
-    if not (point @ point < INF and multipliers @ multipliers < INF):
-        return INF, INF
-    x, is_limit = np.minimum(np.maximum(point, lower), upper), d < INF
-    y, d = np.where(is_limit, multipliers, 0.0), np.where(is_limit, d, 0.0)
-    y[:m] = np.maximum(y[:m], 0.0)
-    of_x, cost, product = np.abs(x), np.abs(c), P @ x
-    terms, bend, excess, slopes = of_C @ of_x + np.abs(d), of_P @ of_x, C @ x - d, product + c
-    if not slopes.any():
-        y[:] = 0.0
-    of_y = np.abs(y)
-    rounding, lost = UNIT * (n + 3.0) * terms, UNIT * (n + 3.0) * bend
-    missed = np.abs(excess) + rounding
-    over = missed.copy()
-    over[:m] = np.maximum(excess[:m] + rounding[:m], 0.0)
-    over = np.where(is_limit, over / np.maximum(terms, LEAST_PRICE), 0.0)
-    outside = np.abs(point - x) / np.maximum(np.maximum(of_x, np.abs(point)), LEAST_PRICE)
-    primal = max(outside.max(), over.max() if rows > 0 else 0.0)
-    left, doubt = slopes + y @ C, UNIT * (n + rows + 3.0) * (bend + cost + of_y @ of_C)
-    of_left, price = np.abs(left), np.abs(product) - lost + cost
-    r, curved = of_left + doubt, max(abs(x @ product) - of_x @ lost, 0.0)
-    size = abs(c @ x) + curved
-    # reach_j ≤ way_j + K |x_j|, way_j ≤ K size / price_j; further terms only raise sizes and prices
-    gap = (of_y @ missed + MOVES * (r @ of_x)) / size + 2.1 * MOVES * (r @ (1.0 / price))
-    if price.min() > 0.0 and gap <= SHARP * (n + rows):
-        return primal, gap
-    below, above = x - lower, upper - x
-    is_off = np.minimum(below, above) > DATA_ROUNDING * of_x.max()
-    most = max(np.where(is_off, np.abs(slopes) - lost, 0.0).max(), 0.0)
-    y = np.minimum(of_y, most / row_sizes)
-    size = max(size, CANCELLED * (cost @ of_x + curved), SMALLEST_SIZE)
-    has_cost = cost.any()
-    size = max(size, LEAST_SIZE * (y @ terms + (0.0 if has_cost else of_x @ bend)))
-    is_rounding = of_left <= (n + 3.0) * UNIT * bend
-    balanced = np.where(is_rounding & (cost == 0.0), bend, 0.0) if has_cost else bend
-    price = np.maximum(np.abs(product) - lost, balanced) + cost + y @ of_C
-    way, distance = (
-        MOVES * size / np.maximum(price, LEAST_PRICE),
-        np.where(left > 0.0, below, above),
-    )
-    distance = np.where(of_left <= doubt, np.maximum(below, above), distance)
-    reach = np.where(distance > 1.00001 * way, np.minimum(distance, MOVES * of_x), distance)
-    gap = of_y @ missed + np.where(r > 0.0, reach, 0.0) @ r
-    gap += np.where(distance > way, r * way, 0.0).max()
-    is_certain = primal < INF and gap < INF and size < INF
-    return (primal, gap / size) if is_certain else (INF, INF)
-
-
-MEASURE_IN_PYTHON = np.errstate(all="ignore")(dense_errors.function)
+def measure_many(m, values, sizes, slopes, weights, c, d, point, x, of_y, errors):  # type: ignore[no-untyped-def]
+    """Write both measures of the points in rows, of programs of one component."""
+    part, of_row = np.zeros(c.shape[1], np.int64), np.zeros(d.shape[1], np.int64)
+    for k in range(len(c)):
+        sums, vectors = (values[k], sizes[k], slopes[k], weights[k]), (c[k], d[k])
+        totals = np.zeros((1, 5))
+        errors[k, 0], errors[k, 1] = COMPILED_MEASURES(
+            m, *sums, *vectors, point[k], x[k], of_y[k], part, of_row, totals
+        )

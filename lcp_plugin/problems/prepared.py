@@ -1,6 +1,6 @@
 """`prepare`: a solver of many problems that differ in some data, as in the loop of a controller.
 
-A small dense LCP or program takes a short way: a kernel or an external solver, and one compiled sufficient test, which
+A small dense LCP or program takes a short way: a kernel or an external solver, and one sufficient test, which
 implies the criterion. If the test does not decide, or if options watch or limit the run, the solver of `solve` runs.
 """
 

@@ -15,7 +15,7 @@ from ...core.errors import InvalidProblem, LCPError
 from ...core.kernels.floats import EPSILON
 from ...engines import is_installed
 from ...engines.solvers import DAQP, call_daqp, ends_of_rows, kinds_of_rows
-from ...judges.program import MEASURE_IN_PYTHON, KKTErrors, ProgramTerms, dense_errors
+from ...judges.program import JudgedProgram, KKTErrors, ProgramTerms, measure_many, sharp_sums
 from ...methods.small import LOOP_FROM, has_numba
 from ..many import rows_of_a_batch
 from ..programs.program import CANCELS, VECTORS, QuadraticProgram
@@ -230,12 +230,18 @@ def solve_programs(
     at_upper = np.maximum(signed[:, :n], 0.0) * np.isfinite(upper)
     x = np.clip(x, lower, upper)
     terms = [ProgramTerms(*pair, m) for pair in zip(P, C, strict=True)]
-    measure = dense_errors if wanted.size >= LOOP_FROM and has_numba() else MEASURE_IN_PYTHON
-    measured = np.full((count, 2), np.inf)
-    for k in wanted[np.isfinite(x[wanted]).all(1)].tolist():
-        if (term := terms[k % len(terms)]).is_one_dense_component:
-            vectors = c[k], d[k], m, lower[k], upper[k]
-            measured[k] = measure(term.P, term.C, term.sizes, *vectors, x[k], y[k])
+    measured, is_one = np.full((count, 2), np.inf), [part.components.number == 1 for part in terms]
+    finite = wanted[np.isfinite(x[wanted]).all(1)]
+    first = finite[np.broadcast_to(is_one, count)[finite]]
+    if first.size >= LOOP_FROM and has_numba():
+        both, found = np.concatenate((P, C), axis=1), np.empty((first.size, 2))
+        both = both if len(both) == 1 else both[first]
+        each = (array[first] for array in (c, d, lower, upper, x, y))
+        measure_many(m, *sharp_sums(both, np.abs(both), m, *each), found)
+        measured[first] = found
+    for k in finite[~KKTErrors(*measured[finite].T).meet(tolerance)].tolist():
+        judged = JudgedProgram(terms[k % len(terms)], c[k], d[k], lower[k], upper[k])
+        measured[k], x[k] = KKTErrors.with_point(judged, x[k], y[k], tolerance)
     errors = KKTErrors(*measured.T)
     rows = np.hstack([x, y, at_lower, at_upper])
     return rows, errors.largest, steps, errors.meet(tolerance)

@@ -16,7 +16,7 @@ from ...core.errors import InvalidOption, UnsuitableProblem
 from ...engines import engine_class, is_installed, scaling
 from ...engines.engine import Engine, EnginePoint, EngineStatus, ProgramData, SolverLimits
 from ...engines.polish import ROUNDS, polish_steps
-from ...judges.program import SHARP, KKTErrors
+from ...judges.program import NO_POLISH, SHARP, KKTErrors
 from .program import QuadraticProgram
 from .program_matrices import ProgramMatrices
 from .solution import QPSolution
@@ -199,7 +199,7 @@ def run_engine(
             raise
         iterations, reported = iterations + point.iterations, point.reported
         rounds = 0 if reported in NO_MINIMUM else ROUNDS
-        is_small, sharp = reduced.matrices.is_small, SHARP * sum(reduced.matrices.stacked[1].shape)
+        is_small, size = reduced.matrices.is_small, sum(reduced.matrices.stacked[1].shape)
         is_cheap = is_small or point.iterations >= 20  # two factorizations take a tenth of its time
         for near, is_polished in candidates(scaled.statement, point, rounds):
             back = scaled.outward(near)
@@ -208,7 +208,7 @@ def run_engine(
             is_good = bool(measures.meet(tolerance))
             if (is_good, -measures.largest) > (passes, -errors.largest):
                 best, errors, passes = (x, y), measures, is_good
-            enough = sharp / 64.0 if is_polished else 4.0 * sharp  # daqp ends at 1 to 3.5 times
+            enough = size * (SHARP / 64.0 if is_polished else NO_POLISH)
             is_best = not is_cheap or (is_polished and not is_small) or errors.gap <= enough
             if is_over() or (passes and is_best):
                 break

@@ -19,7 +19,7 @@ from ...core.tuning import LINEAR_PROGRAM_UP_TO
 from ...engines import ENGINES, has_piqp, installed_engine
 from ...engines.engine import Engine, EnginePoint, EngineStatus
 from ...engines.solvers import DAQP, ends_of_rows
-from ...judges.program import PROGRAM_TOLERANCE, SHARP, KKTErrors
+from ...judges.program import NO_POLISH, PROGRAM_TOLERANCE, KKTErrors
 from ...methods.interior_point import InteriorPoint
 from ...methods.small import LOOP_UP_TO
 from ...solving.dispatch import parse_call
@@ -170,7 +170,7 @@ def first_point(
         return end, infeasible_result(program, end, settings, clock.read())
     x, y = clip(without_noise(end.x), lower, upper), without_noise(end.y)  # as a run begins
     errors, x = KKTErrors.with_point(judged, x, y, tolerance)
-    is_sharp = errors.meet(tolerance) and errors.gap <= SHARP * (x.size + y.size)
+    is_sharp = errors.meet(tolerance) and errors.gap <= NO_POLISH * (x.size + y.size)
     if not is_sharp or is_in_doubt(program, errors, x):
         return end, None
     # Multipliers of a point that passes overflow only if coefficients divide them

@@ -7,7 +7,8 @@ from __future__ import annotations
 
 import signal
 import threading
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
 from typing import Any, NamedTuple, TypeVar
 
 import numpy as np
@@ -26,10 +27,7 @@ class Ranks:
     def __init__(self, comm: Any) -> None:
         try:
             from mpi4py import MPI
-        except (
-            ImportError,
-            RuntimeError,
-        ) as error:  # mpi4py without an MPI library raises the latter
+        except (ImportError, RuntimeError) as error:  # the latter if there is no MPI library
             raise InvalidOption(
                 f"several ranks need mpi4py and an MPI library ({error}); pip install mpi4py mpich (or lcp_plugin[mpi])"
             ) from None
@@ -123,26 +121,23 @@ def _described(error: BaseException) -> tuple[type[LCPError], str]:
     return LCPError, f"{type(error).__name__}: {error}".removesuffix(": ")
 
 
-class Interruptions:
-    """Handler of Ctrl-C: a request to all ranks at the next step; a second one ends this rank."""
+@contextmanager
+def deferred_interruptions() -> Iterator[Callable[[], bool]]:
+    """Let Ctrl-C be a request to all ranks at the next step, which the yielded function tells; a second one ends."""
+    requests: list[int] = []
 
-    def __init__(self) -> None:
-        self._is_asked = False
-        self._before: Any = None
-
-    def __enter__(self) -> Callable[[], bool]:
-        if threading.current_thread() is threading.main_thread():
-            self._before = signal.signal(signal.SIGINT, self._hear)
-        return lambda: self._is_asked
-
-    def __exit__(self, *_: object) -> None:
-        if self._before is not None:
-            signal.signal(signal.SIGINT, self._before)
-
-    def _hear(self, *_: object) -> None:
-        if self._is_asked:
+    def hear(number: int, _: object) -> None:
+        if requests:
             raise KeyboardInterrupt
-        self._is_asked = True
+        requests.append(number)
+
+    is_main = threading.current_thread() is threading.main_thread()
+    before = signal.signal(signal.SIGINT, hear) if is_main else None
+    try:
+        yield lambda: bool(requests)
+    finally:
+        if before is not None:
+            signal.signal(signal.SIGINT, before)
 
 
 Integers = NDArray[Any]
@@ -196,10 +191,9 @@ class Halo(Ranks):
         Number of rows of this rank; may be 0.
     ghosts : array of int
         Global indices of the ghosts, none twice.
-    own_entries : int, optional
-        Number of entries of the local rows, if rows of ghosts follow them.
-    entries : array of int, shape (k, 2), optional
-        Rank, and position on that rank, of each entry of the ghosts' rows.
+    entries : int and array of int, shape (k, 2), optional
+        If rows of ghosts follow the local rows: number of entries of the local rows; rank, and position on that rank,
+        of each entry of the ghosts' rows.
     starts : array of int, shape (ranks + 1,), optional
         First row of each rank, if it is known; gathered from all ranks otherwise.
     """
@@ -209,8 +203,7 @@ class Halo(Ranks):
         comm: Any,
         count: int,
         ghosts: Integers = NOBODY,
-        own_entries: int = 0,
-        entries: Integers | None = None,
+        entries: tuple[int, Integers] | None = None,
         starts: Integers | None = None,
     ) -> None:
         super().__init__(comm)
@@ -224,7 +217,7 @@ class Halo(Ranks):
         owners = self.owners(ghosts)
         places = np.stack([owners, ghosts - self.starts[owners]], axis=1)
         self._values = Exchange(self.comm, count, places)
-        self._entries = None if entries is None else Exchange(self.comm, own_entries, entries)
+        self._entries = None if entries is None else Exchange(self.comm, *entries)
 
     def owners(self, indices: Integers) -> Integers:
         """Return the rank that owns each index."""
@@ -309,7 +302,7 @@ class Halo(Ranks):
             met, self._dependents(np.searchsorted(indptr, at, side="right") - 1 + self.first, met)
         )
         if not any(self.comm.allgather(near.size + further.size)):
-            return rows, Halo(self.comm, count, near, data.size, starts=self.starts)
+            return rows, Halo(self.comm, count, near, starts=self.starts)
         if not np.array_equal(near, ghosts):  # both ascend: the rows stay sorted
             indices = indices.copy()
             indices[at] = count + np.searchsorted(near, met)
@@ -331,14 +324,10 @@ class Halo(Ranks):
         entries = np.stack([owners, foreign.places], axis=1)[order]
         foreign = foreign._replace(columns=local[order], values=foreign.values[order])
         rows = _appended((indptr, indices, data), foreign)
-        return rows, Halo(self.comm, count, all_ghosts, data.size, entries, self.starts)
+        return rows, Halo(self.comm, count, all_ghosts, (data.size, entries), self.starts)
 
     def _foreign_rows(
-        self,
-        wanted: Integers,
-        indptr: Integers,
-        data: Vector,
-        columns: Callable[[Integers], Integers],
+        self, wanted: Integers, indptr: Integers, data: Vector, columns: Callable[..., Integers]
     ) -> ForeignRows:
         """Return the rows `wanted`, global indices in any order; all ranks call.
 

@@ -236,7 +236,8 @@ def _positive_diagonal(problem: RowsOnRanks) -> Vector:
     return problem.diagonal
 
 
-METHODS: dict[str, Callable[..., Iterates]] = {
+Methods = dict[str, Callable[..., Iterates]]
+METHODS: Methods = {
     "multigrid": multigrid,
     "pgs": sweep,
     "psor": sweep,
@@ -252,11 +253,7 @@ METHODS: dict[str, Callable[..., Iterates]] = {
 
 
 def chain(
-    algorithm: str,
-    options: dict[str, Any],
-    more: dict[str, Callable[..., Iterates]],
-    *,
-    is_positive: bool,
+    algorithm: str, options: dict[str, Any], more: Methods, *, is_positive: bool
 ) -> list[tuple[str, Callable[..., Iterates]]]:
     """Return the methods that a name means, in order: multigrid, `more`, and then sweeps for "auto"."""
     methods = METHODS | more

@@ -6,7 +6,7 @@ Bad input on one rank is rejected on all of them.
 from __future__ import annotations
 
 from collections.abc import Callable
-from functools import cached_property
+from functools import cached_property, partial
 from typing import Any, ClassVar, Self
 
 import numpy as np
@@ -96,15 +96,13 @@ class RowsOnRanks:
 
     def with_q(self, q: ArrayLike) -> RowsOnRanks:
         """Return the problem with another local part of q."""
-        return self.halo.together(
-            lambda: RowsOnRanks(self.rows, self.halo, q, self.lower, self.upper)
-        )
+        data = self.rows, self.halo, q, self.lower, self.upper
+        return self.halo.together(lambda: RowsOnRanks(*data))
 
     def own_part(self, z: Any, name: str = "z", *, is_finite: bool = True) -> checks.Vector:
         """Return a checked vector, shape (own,); all ranks reject a part that is wrong on one rank."""
-        return self.halo.together(
-            lambda: checks.checked_vector(z, name, self.own, is_finite=is_finite)
-        )
+        check = partial(checks.checked_vector, z, name, self.own, is_finite=is_finite)
+        return self.halo.together(check)
 
     def slack(self, z: checks.Vector) -> checks.Vector:
         """Return the local part of w = M z + q."""

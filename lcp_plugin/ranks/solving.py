@@ -24,7 +24,7 @@ from ..judges.lcp import Measured, RowData, VectorEnds, divide_nonnegative
 from ..judges.worst_rows import outside_row
 from ..solving.result import BaseResult, Sample
 from ..solving.run import Named, Progress, Run, Stage
-from .halo import Halo, Interruptions
+from .halo import Halo, deferred_interruptions
 from .methods import chain
 from .problem import RowsOnRanks
 
@@ -86,7 +86,7 @@ class ProductOnRanks:
     """A matrix by which each rank multiplies the vectors of all ranks; it returns the local part."""
 
     def __init__(self, rows: sp.csr_array, halo: Halo) -> None:
-        self.rows, self.halo, self.indptr = rows, halo, rows.indptr
+        self.rows, self.halo, self.indptr, self.diagonal = rows, halo, rows.indptr, rows.diagonal
 
     def __matmul__(self, x: Vector) -> Vector:
         return self.rows @ self.halo.whole(x.astype(np.float64, copy=False))
@@ -230,7 +230,7 @@ def solve_on_ranks(
         methods = methods[:-1]  # one process is faster than sweeps over the ranks
     start = problem.own_part(problem.nearest_to_zero if z0 is None else z0, "z0")
     z = np.clip(start, problem.lower, problem.upper)
-    with threads_for(settings.threads), Interruptions() as is_interrupted:
+    with threads_for(settings.threads), deferred_interruptions() as is_interrupted:
         run = RunOnRanks(problem, ProgressOnRanks(problem, settings, callback, is_interrupted))
         plan = run.plan(methods, z, is_gathered=is_gathered)
         result: ResultOnRanks = run.result(run.follow_all(plan))
@@ -312,7 +312,7 @@ class RunOnRanks(Run):
             z = None if z0 is None or not np.isfinite(z0).all() else z0
             solver = resolve_name(f"lcp_plugin.{CLASSES['LCP'].solver}")
             result = solver(parts, z0=z, **options)
-            return result.z, result.work, result.iterations, result.proof
+            return result.certificate.z, result.work, result.iterations, result.proof
 
         z, work, iterations, proof = halo.from_first(solve)
         self.next_check = 0

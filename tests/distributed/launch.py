@@ -36,7 +36,8 @@ def _launcher() -> tuple[str, ...]:
 
 def start(ranks: int, *arguments: str, python: str = sys.executable) -> subprocess.Popen[str]:
     """Start `python *arguments` on so many ranks and do not wait."""
-    paths = [str(ROOT), str(ROOT / "tests"), *filter(None, [os.environ.get("PYTHONPATH")])]
+    folders = (str(ROOT / folder) for folder in (".", "tests", "examples"))
+    paths = [*folders, *filter(None, [os.environ.get("PYTHONPATH")])]
     environment = {**os.environ, **ROOT_MAY_RUN, "PYTHONPATH": os.pathsep.join(paths)}
     for threads in ("OMP_NUM_THREADS", "NUMBA_NUM_THREADS"):
         environment.setdefault(threads, "1")

@@ -173,18 +173,13 @@ def made(kind: Any, name: str, options: dict[str, Any]) -> Any:
     except InvalidOption:
         raise
     except TypeError:
-        required = {
-            field.name: field.default is field.default_factory is MISSING for field in fields(kind)
-        }
+        known = {field.name: field for field in fields(kind)}
         for option in options:
-            if option not in required:
-                hint = did_you_mean(option, required, OF_SOLVE)
+            if option not in known:
+                hint = did_you_mean(option, known, OF_SOLVE)
                 raise InvalidOption(f"{name} has no option {option!r}{hint}") from None
-        missing = [
-            option
-            for option, is_required in required.items()
-            if is_required and option not in options
-        ]
+        absent = (field for option, field in known.items() if option not in options)
+        missing = [f.name for f in absent if f.default is f.default_factory is MISSING]
         if not missing:
             raise
         raise InvalidOption(

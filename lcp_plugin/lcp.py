@@ -81,9 +81,7 @@ def from_qp(
         return lcp_from_qp(QuadraticProgram(P, c, G, h, A, b, lower, upper))  # type: ignore[arg-type]
     others = [data for data in (c, G, h, A, b) if data is not None]
     if others or not (np.array_equal(lower, -np.inf) and np.array_equal(upper, np.inf)):
-        raise InvalidOption(
-            "a QuadraticProgram has all data; call LCP.from_qp(program) without others"
-        )
+        raise InvalidOption("a QuadraticProgram has all data; call LCP.from_qp(program) alone")
     return lcp_from_qp(P)
 
 

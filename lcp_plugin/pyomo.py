@@ -233,9 +233,7 @@ def _results_of(answer: PyomoAnswer) -> Any:
     condition = TerminationCondition(word)
     results.solver.name, results.solver.message = NAME, solution.message
     if solution.result.has_conflict:
-        results.solver.message += (
-            "; print(solver.result.conflict) lists the constraints that conflict"
-        )
+        results.solver.message += "; print(solver.result.conflict) lists constraints that conflict"
     results.solver.status = STATES.get(condition, SolverStatus.warning)
     results.solver.termination_condition = condition
     results.solver.time = solution.result.seconds

@@ -77,6 +77,7 @@ LARGEST_ENTRY = 9  # small integers: sums are exact, examples are short
 LARGEST_SIZE = 8  # rows: all active sets can be enumerated
 
 Sizes = int | st.SearchStrategy[int] | None
+Matrices = st.SearchStrategy[Any] | None
 Numbers = st.SearchStrategy[Any]
 Matrix = NDArray[np.float64]
 
@@ -101,9 +102,8 @@ def entries(density: float) -> Numbers:
         return st.just(0)
     zeros = max(1, round(values * (1.0 - density) / density))
     # 1, −1, 2, −2 … for 1, 2, 3, 4 …, and 0 for 0 and all below it: simple entries come first.
-    return st.integers(1 - zeros, values).map(
-        lambda k: 0 if k <= 0 else (k + 1) // 2 if k % 2 else -(k // 2)
-    )
+    drawn = st.integers(1 - zeros, values)
+    return drawn.map(lambda k: 0 if k <= 0 else (k + 1) // 2 if k % 2 else -(k // 2))
 
 
 POSITIVE = st.integers(1, LARGEST_ENTRY)
@@ -128,9 +128,8 @@ def vectors(n: int, values: Numbers) -> st.SearchStrategy[Vector]:
 
 def orders(n: int) -> st.SearchStrategy[NDArray[np.intp]]:
     """Return a strategy for permutations of 0 … n − 1 that shrinks to the identity."""
-    return vectors(n, st.integers(0, LARGEST_SIZE - 1)).map(
-        lambda keys: np.argsort(keys, kind="stable")
-    )
+    keys = vectors(n, st.integers(0, LARGEST_SIZE - 1))
+    return keys.map(lambda drawn: np.argsort(drawn, kind="stable"))
 
 
 @lru_cache(maxsize=1000)
@@ -333,9 +332,7 @@ BOUNDED = {
 }
 
 
-def lcps(
-    matrices: st.SearchStrategy[Any] | None = None, *, bounds: bool = False
-) -> st.SearchStrategy[LCP]:
+def lcps(matrices: Matrices = None, *, bounds: bool = False) -> st.SearchStrategy[LCP]:
     """Return a strategy for problems with any q: whether there is a solution depends on M.
 
     Parameters
@@ -373,10 +370,7 @@ def lcps(
 
 
 def solved_lcps(
-    matrices: st.SearchStrategy[Any] | None = None,
-    *,
-    bounds: bool = False,
-    huge_slacks: bool = False,
+    matrices: Matrices = None, *, bounds: bool = False, huge_slacks: bool = False
 ) -> st.SearchStrategy[tuple[LCP, ExactPoint]]:
     """Return a strategy for pairs (problem, z) such that z solves the problem exactly.
 
@@ -549,13 +543,11 @@ def fractions_of(values: Array) -> tuple[Fraction, ...]:
 Solver = Callable[[Any, Vector, Vector, Vector], Any]
 Drawn = tuple[LCP, ExactPoint | None, Any]  # the problem, its exact solution, M in the drawn form
 
-PHASES = (Phase.generate, Phase.shrink)
-
 
 def assert_solves(
     solver: Solver,
     *,
-    matrices: st.SearchStrategy[Any] | None = None,
+    matrices: Matrices = None,
     bounds: bool = False,
     may_give_up: bool = False,
     tolerance: float = 1e-6,
@@ -637,7 +629,7 @@ def assert_solves(
         report_multiple_bugs=False,
         print_blob=False,
         suppress_health_check=[HealthCheck.too_slow],
-        phases=PHASES,
+        phases=[Phase.generate, Phase.shrink],
     )
     @given(problems)
     def solver_is_right(drawn: Drawn) -> None:
@@ -761,7 +753,7 @@ class QPAnswer(NamedTuple):
 
 
 def convex_qps(
-    matrices: st.SearchStrategy[Any] | None = None,
+    matrices: Matrices = None,
     *,
     inequalities: int | st.SearchStrategy[int] = st.integers(0, 4),  # noqa: B008 - strategies do not change
     equalities: int | st.SearchStrategy[int] = st.integers(0, 2),  # noqa: B008

@@ -64,10 +64,8 @@ def restore_state(thing: object, state: dict[str, Any]) -> None:
     """Restore the state of a copied or unpickled object, and make its arrays read-only again."""
     fill(thing, **state)
     for value in state.values():
-        for array in (
-            value,
-            *(getattr(value, name, None) for name in ("data", "indices", "indptr")),
-        ):
+        parts = (getattr(value, name, None) for name in ("data", "indices", "indptr"))
+        for array in (value, *parts):
             if isinstance(array, np.ndarray):
                 array.flags.writeable = False
 
@@ -158,11 +156,8 @@ def rectangular_matrix(
         For another shape, for numbers that are not real or not finite, for corrupt sparse arrays.
     """
     sizes = [f"{k} {what}" for k, what in ((rows, "rows"), (columns, "columns")) if k is not None]
-    of = (
-        f" of shape ({rows}, {columns})"
-        if len(sizes) == 2
-        else "".join(f" with {k}" for k in sizes)
-    )
+    of = "".join(f" with {size}" for size in sizes)
+    of = f" of shape ({rows}, {columns})" if len(sizes) == 2 else of
     need = f"{name} must be a real matrix{of}"
     is_sparse = not isinstance(values, np.ndarray) and sp.issparse(values)
     if is_sparse:
@@ -244,9 +239,7 @@ def real_array(values: Any, need: str) -> NDArray[np.float64]:
     if type(values) is np.ndarray and values.dtype == DOUBLE:
         return values
     if isinstance(values, np.ma.MaskedArray):
-        raise InvalidProblem(
-            f"{need}, got a masked array; fill it first, for instance with .filled(0.0)"
-        )
+        raise InvalidProblem(f"{need}, got a masked array; fill it first, as by .filled(0.0)")
     if sp.issparse(values):
         raise InvalidProblem(
             f"{need}, got a sparse array of shape {values.shape}; use .toarray(), and for a vector also .ravel()"
@@ -452,20 +445,15 @@ def checked_bounds(
         lower = lower if lower > -INFINITE_LIMIT else -math.inf
         upper = upper if upper < INFINITE_LIMIT else math.inf
         return (_equal_bounds if n <= SHARED_UP_TO else _equal_bounds.__wrapped__)(lower, upper, n)
-    below, above = normalize_bounds(
-        checked_bound(lower, names[0], n), checked_bound(upper, names[1], n)
-    )
+    sides = zip((lower, upper), names, strict=True)
+    below, above = normalize_bounds(*(checked_bound(*side, n) for side in sides))
     is_right = (below <= above) & (below < np.inf) & (above > -np.inf)
     if not is_right.all():
-        i = int(np.argmin(is_right))
+        i, remedy = int(np.argmin(is_right)), "use -inf for no lower and inf for no upper bound"
+        remedy = "swap them" if above[i] < below[i] else remedy
         raise InvalidProblem(
             f"bounds must satisfy lower ≤ upper and admit a number, "
-            f"but {names[0]}[{i}] = {below[i]} and {names[1]}[{i}] = {above[i]}; "
-            + (
-                "swap them"
-                if above[i] < below[i]
-                else "use -inf for no lower and inf for no upper bound"
-            )
+            f"but {names[0]}[{i}] = {below[i]} and {names[1]}[{i}] = {above[i]}; {remedy}"
         )
     return below, above
 

@@ -93,11 +93,7 @@ class ModelWarning(UserWarning):
 
 
 def did_you_mean(
-    word: object,
-    known: Iterable[str | None],
-    of_solve: Collection[str] = (),
-    *,
-    is_listed: bool = False,
+    word: object, known: Iterable[object], more: Collection[str] = (), *, is_listed: bool = False
 ) -> str:
     """Return ``"; did you mean 'psor'?"`` or nothing, then the known words, and the words that `solve` itself takes.
 
@@ -113,8 +109,8 @@ def did_you_mean(
     hints = [f"known: {', '.join(sorted(written))}"] if written else []
     if is_listed and len(written) > LONG_LIST:
         hints = [f"{len(written)} are known, lcp-plugin list shows them"]
-    written |= {name: repr(name) for name in of_solve}
-    hints += [f"solve itself takes {', '.join(sorted(of_solve))}"] if of_solve else []
+    written |= {name: repr(name) for name in more}
+    hints += [f"solve itself takes {', '.join(sorted(more))}"] if more else []
     close = [name for name in sorted(written) if len(str(word)) > 2 and name.startswith(str(word))]
     close = close or get_close_matches(str(word).lower(), sorted(written), 1, 0.6)
     if not close:

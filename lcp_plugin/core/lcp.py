@@ -3,10 +3,10 @@
 from __future__ import annotations
 
 from functools import cached_property
+from operator import attrgetter
 from typing import Any, Self
 
 import numpy as np
-import scipy.sparse as sp
 from numpy.typing import ArrayLike
 
 from . import checks
@@ -115,15 +115,8 @@ class LCP(Problem):
         data = self.matrix, self.q, self.lower, self.upper, self.names
         return object.__new__(type(self))._keep(*data, origin=origin)
 
-    @property
-    def M(self) -> Any:
-        """The stored matrix: a CSR array, or an ndarray if M is dense and small, shape (n, n)."""
-        return self.matrix.array
-
-    @property
-    def csr(self) -> sp.csr_array:
-        """The matrix as canonical, read-only CSR, shape (n, n)."""
-        return self.matrix.csr
+    M = property(attrgetter("matrix.array"), doc="Stored matrix, CSR or small and dense, (n, n).")
+    csr = property(attrgetter("matrix.csr"), doc="M as canonical, read-only CSR, shape (n, n).")
 
     @property
     def is_dense(self) -> bool:
@@ -174,9 +167,8 @@ class LCP(Problem):
         """
         matrix = self.matrix
         is_vector = type(z) is np.ndarray and z.dtype == np.float64 and z.shape == (matrix.n,)
-        w: Vector = matrix.array @ (
-            z if is_vector else checked_vector(z, "z", matrix.n, is_finite=False)
-        )
+        z = z if is_vector else checked_vector(z, "z", matrix.n, is_finite=False)
+        w: Vector = matrix.array @ z
         w += self.q
         return w
 

@@ -51,6 +51,10 @@ class fact(Generic[T, *Ts]):  # noqa: N801 - a decorator
         value: T = facts[key]
         return value
 
+    def __reduce__(self) -> str:
+        """Return the name under which pickles of facts find the function."""
+        return self._compute.__qualname__
+
     def is_known(self, matrix: Matrix, *args: Hashable) -> bool:
         """Return whether the value is cached."""
         return (self, *args) in matrix._facts

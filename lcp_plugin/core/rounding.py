@@ -167,9 +167,8 @@ def product_and_error(a: Vector, b: Vector) -> tuple[Vector, Vector]:
     """Return a b rounded, and its rounding error (Dekker), if no product of halves underflows."""
     (a_high, a_low), (b_high, b_low) = _halves(a), _halves(b)
     product = a * b
-    return product, a_low * b_low - (
-        ((product - a_high * b_high) - a_low * b_high) - a_high * b_low
-    )
+    excess = ((product - a_high * b_high) - a_low * b_high) - a_high * b_low
+    return product, a_low * b_low - excess
 
 
 def _halves(a: Vector) -> tuple[Vector, Vector]:

@@ -51,9 +51,7 @@ class Status(Enum):
         "the objective is unbounded; next: add bounds for the unknowns of the direction in result.proof, which "
         "proves it"
     )
-    INTERRUPTED = (
-        "stopped by Ctrl-C or the callback; next: continue from z, the best iterate so far"
-    )
+    INTERRUPTED = "stopped by Ctrl-C or the callback; next: continue from z, the best iterate"
 
 
 LIMITS = (Status.MAX_ITERATIONS, Status.MAX_SECONDS)

@@ -41,29 +41,14 @@ from typing import Any, ClassVar
 
 import numpy as np
 
-from .algorithm import (
-    PROJECTED_RELAXATION,
-    PROJECTED_TYPE,
-    SWEEPS,
-    Algorithm,
-    IterationFacts,
-    Step,
-    check_choice,
-    check_number,
-    check_positive,
-    require_positive_diagonal,
-)
+from . import algorithm, sweep_data
+from .algorithm import SWEEPS, Algorithm, IterationFacts, Step, check_choice, check_positive
 from .checks import Vector
 from .entries import max_norm
 from .errors import InvalidOption, UnsuitableMatrix
 from .kernels.splitting_sweeps import extrapolate, relaxation_sweep, splitting_sweep
 from .lcp import LCP
-from .sweep_data import (
-    automatic_factors,
-    has_positive_diagonal,
-    inverse_residual_scale,
-    split_matrix,
-)
+from .sweep_data import inverse_residual_scale, split_matrix
 
 
 class Splitting(Algorithm):
@@ -83,7 +68,7 @@ class Splitting(Algorithm):
         if hasattr(self, "relaxation"):
             check_positive(self, "relaxation")
         if hasattr(self, "acceleration"):
-            check_number(self, "acceleration")
+            algorithm.check_number(self, "acceleration")
 
     def weights(self) -> tuple[float, float]:
         """Return (α, β)."""
@@ -252,7 +237,8 @@ class ScaledByRows(Algorithm):
         factors = self.automatic_factors(problem) if self.scaling == "auto" else self.scaling_factor
         matrix, inverse = problem.matrix, inverse_residual_scale(problem.matrix)
         if matrix.residual_scale is not matrix.diagonal:
-            inverse = np.where(has_positive_diagonal(matrix), 1.0 / matrix.diagonal, inverse)
+            is_usable = sweep_data.has_positive_diagonal(matrix)
+            inverse = np.where(is_usable, 1.0 / matrix.diagonal, inverse)
         return np.minimum(factors * inverse, np.finfo(np.float64).max)
 
     def finish(self, problem: LCP, z: Vector) -> Vector:
@@ -308,12 +294,12 @@ class ProjectedType(ScaledByRows, Splitting):
         step, has_momentum = self.row_scaling(problem), self.momentum is not None
         self._inverse_pivot(problem, step)
         weights = *self.weights(), self.sweep
-        return IterationFacts(PROJECTED_TYPE, *weights, step, has_momentum=has_momentum)
+        return IterationFacts(algorithm.PROJECTED_TYPE, *weights, step, has_momentum=has_momentum)
 
     def automatic_factors(self, problem: LCP) -> Vector:
         """Return θ, shape (n,)."""
         alpha, beta = self.weights()
-        return automatic_factors(problem.matrix, beta / alpha, self.sweep)
+        return sweep_data.automatic_factors(problem.matrix, beta / alpha, self.sweep)
 
     def _inverse_pivot(self, problem: LCP, step: Vector) -> Vector:
         scaled_diagonal, alpha = step * problem.matrix.diagonal, self.weights()[0]
@@ -454,10 +440,10 @@ class _Relaxation(Splitting):
 
     def facts(self, problem: LCP) -> IterationFacts:
         """Return ω and β, None if they are determined during the run, and the sweep."""
-        require_positive_diagonal(problem, self.name)
+        algorithm.require_positive_diagonal(problem, self.name)
         is_automatic = getattr(self, "relaxation", None) == "auto"
         weights: tuple[Any, Any] = (None, None) if is_automatic else self.weights()
-        return IterationFacts(PROJECTED_RELAXATION, *weights, self.sweep)
+        return IterationFacts(algorithm.PROJECTED_RELAXATION, *weights, self.sweep)
 
 
 class _InPlace(_Relaxation):
@@ -465,7 +451,7 @@ class _InPlace(_Relaxation):
 
     def iterates(self, problem: LCP, z0: Vector) -> Iterator[Step]:
         """Yield z₀, z₁, …, all in the same array; the increment shows when a residual is worth measuring."""
-        pivots = require_positive_diagonal(problem, self.name)
+        pivots = algorithm.require_positive_diagonal(problem, self.name)
         rows = np.column_stack([problem.q, problem.lower, problem.upper, 1.0 / pivots])
         passes = [(*split_matrix(problem.matrix, way), rows, way) for way in SWEEPS[self.sweep]]
         z, work = z0, float(len(passes))
@@ -540,7 +526,7 @@ class _Simultaneous(_Relaxation):
     def iterates(self, problem: LCP, z0: Vector) -> Iterator[Step]:
         """Yield z₀, z₁, …, each with its residual."""
         omega, beta = self.weights()
-        step = omega / require_positive_diagonal(problem, self.name)
+        step = omega / algorithm.require_positive_diagonal(problem, self.name)
         inverse_scale, ones = inverse_residual_scale(problem.matrix), np.ones(problem.n)
         rows = np.column_stack([problem.q, problem.lower, problem.upper, inverse_scale, step, ones])
         yield from self.swept(problem, splitting_sweep, rows, (beta / omega, False, 1.0), z0)

@@ -14,15 +14,8 @@ from ..core.errors import InvalidProblem
 from ..core.lcp import LCP
 from ..core.problem_classes import refusal
 from ..core.rounding import gamma
-from .lcp import (
-    RowData,
-    RowResiduals,
-    RowsAtPoint,
-    VectorEnds,
-    find_rounding_rows,
-    row_data,
-    scaled_residual,
-)
+from . import lcp as judge
+from .lcp import RowData, RowResiduals, RowsAtPoint, VectorEnds
 
 PRECISE = 1e-12  # tolerance at which rounding errors of the relative residual count
 
@@ -76,7 +69,7 @@ class Certificate:
     @derived_property
     def criterion(self) -> RowData:
         """The data of the criterion."""
-        return row_data(self.problem)
+        return judge.row_data(self.problem)
 
     @derived_property
     def rows(self) -> RowsAtPoint:
@@ -96,7 +89,7 @@ class Certificate:
     @derived_property
     def worst_index(self) -> int:
         """The row of the largest residual relative to the reference of its component; −1 for an empty problem."""
-        residual = relative = np.abs(scaled_residual(self.problem, self.z, self.w))
+        residual = relative = np.abs(judge.scaled_residual(self.problem, self.z, self.w))
         if self.by_row.reference.size > 1:  # the component with the largest relative residual
             relative = np.where(np.isfinite(residual), self.by_row.relative, np.nan)
         return int(np.argmax(relative)) if relative.size else -1  # argmax stops at the first NaN
@@ -104,7 +97,7 @@ class Certificate:
     @derived_property
     def scaled_residual(self) -> float:
         """‖r(z)‖∞ of the worst component, in the unit of z, as measured in double precision."""
-        residual = np.abs(scaled_residual(self.problem, self.z, self.w))
+        residual = np.abs(judge.scaled_residual(self.problem, self.z, self.w))
         return float(residual[self.worst_index]) if residual.size else 0.0
 
     @property
@@ -173,7 +166,7 @@ class Certificate:
     @derived_property
     def is_at_rounding_level(self) -> bool:
         """True if no row's residual exceeds four times its rounding floor."""
-        return bool(find_rounding_rows(self.by_row[:2], self.rounding_floor).all())
+        return bool(judge.find_rounding_rows(self.by_row[:2], self.rounding_floor).all())
 
     def __str__(self) -> str:
         lines = [

@@ -36,17 +36,9 @@ import numpy as np
 
 from ..core.checks import AnyMatrix, BoolVector, Vector
 from ..core.entries import clip, entries_of_rows, largest_products, max_norm
+from ..core.kernels import floats
 from ..core.kernels.compilation import kernel
-from ..core.kernels.floats import (
-    DATA_ROUNDING,
-    EPSILON,
-    LARGEST,
-    NEGLIGIBLE,
-    NEGLIGIBLE_DIAGONAL,
-    NORMAL,
-    SMALLEST,
-    TINY,
-)
+from ..core.kernels.floats import EPSILON, NEGLIGIBLE, NEGLIGIBLE_DIAGONAL, NORMAL, SMALLEST, TINY
 from ..core.lcp import LCP
 from ..core.matrix import Matrix, fact
 from ..core.names import Names
@@ -292,7 +284,7 @@ class RowData:
         """Return the values of all rows at z, with its slack w if that is known."""
         w = times(self.M, z) + self.q if w is None else w
         products = times(self.absolute, np.abs(z))
-        terms = np.minimum(products + np.abs(self.q), LARGEST)
+        terms = np.minimum(products + np.abs(self.q), floats.LARGEST)
         bound = (self._counts + 6) * (EPSILON * terms + TINY)
         rounding = np.where(products > 0.0, bound, 0.0)  # NaN stays
         below, above = self.scale * (z - self.lower), self.scale * (z - self.upper)
@@ -550,7 +542,7 @@ def rounding_of_data(problem: LCP) -> float:
     A quotient that overflows counts as the largest double, so that no infinite residual is explained.
     """
     sizes = np.abs(problem.q / problem.matrix.residual_scale)
-    return DATA_ROUNDING * min(float(sizes.max(initial=0.0)), LARGEST)
+    return floats.DATA_ROUNDING * min(float(sizes.max(initial=0.0)), floats.LARGEST)
 
 
 def find_rounding_rows(ends: VectorEnds, floor: Vector) -> BoolVector:

@@ -106,12 +106,11 @@ def _cases(problem: LCP, z: Vector, most: int, *, are_ties_free: bool = True) ->
     # z and w relative to one another, by the diagonal: the row of a border may be much larger than the others
     units = np.divide(problem.residual_scale, d, out=np.ones(problem.n), where=d > 0.0)
     for _ in range(most):
-        slack = problem.slack(z) * units
-        at_lower, at_upper = classify(problem, z, slack, are_ties_free=are_ties_free)
-        if (case := signature(at_lower, at_upper)) in tried:
+        sides = classify(problem, z, problem.slack(z) * units, are_ties_free=are_ties_free)
+        if (case := signature(*sides)) in tried:
             return
         tried.add(case)
-        solution = solve_active_set(problem, at_lower, at_upper, near=z, system=system)
+        solution = solve_active_set(problem, *sides, near=z, system=system)
         if solution is None or not np.isfinite(solution.z).all():
             return
         z, system = solution.z, solution.system
@@ -165,9 +164,8 @@ class MonotoneProgram:
             x, y = np.flatnonzero(is_x), np.flatnonzero(~is_x)
             P = M[x][:, x] if y.size else M
             P, R, c, multipliers = 0.5 * (P + P.T), M[y][:, x], (q + M[:, y] @ a[y])[x], kept[y]
-        statement = _stated(
-            P, c, R, q[y], lower[kept][y], upper[kept][y], lower[kept[x]], upper[kept[x]]
-        )
+        bounds = lower[kept[x]], upper[kept[x]]
+        statement = _stated(P, c, R, q[y], lower[kept][y], upper[kept][y], *bounds)
         size = float(power_of_two(_largest(statement.c, statement.h, statement.b)))
         vectors = {k: getattr(statement, k) / size for k in ("c", "h", "b", "lower", "upper")}
         return cls(problem, statement._replace(**vectors), size, kept[x], multipliers, anchor)
@@ -246,16 +244,12 @@ class ZeroSumGame(NamedTuple):
     def answer(self, engine: Engine) -> tuple[Vector, int]:
         """Return z, NaN if the engine has none, and its steps."""
         m, k = self.losses.shape
-        statement = ProgramData(
-            np.zeros((m + 1, m + 1)),
-            np.append(np.zeros(m), 1.0),  # x and the value of the game, which is the least
-            np.column_stack([self.losses.T, -np.ones(k)]),
-            np.zeros(k),
-            np.append(np.ones(m), 0.0)[np.newaxis],
-            np.ones(1),
-            np.append(np.zeros(m), -np.inf),
-            np.full(m + 1, np.inf),
-        )
+        # x and the value of the game, which is the least
+        P, c = np.zeros((m + 1, m + 1)), np.append(np.zeros(m), 1.0)
+        inequalities = np.column_stack([self.losses.T, -np.ones(k)]), np.zeros(k)
+        equation = np.append(np.ones(m), 0.0)[np.newaxis], np.ones(1)
+        bounds = np.append(np.zeros(m), -np.inf), np.full(m + 1, np.inf)
+        statement = ProgramData(P, c, *inequalities, *equation, *bounds)
         point = engine.solve(statement, SolverLimits(seconds_left()))
         x, y, z = np.maximum(point.x[:m], 0.0), np.maximum(point.y[:k], 0.0), np.empty(m + k)
         z[self.is_row], z[~self.is_row] = x / (x @ self.L @ y), y / (x @ self.K @ y)
@@ -286,16 +280,9 @@ def _stated(
             P, A, G = np.pad(P, (0, k)), np.pad(A, ((0, 0), (0, k))), np.hstack([G, v.toarray()])
     if sp.issparse(R):
         P, G, A = map(sp.csr_array, (P, G, A))
-    return ProgramData(
-        P,
-        np.append(c, (high - low)[boxed]),
-        G,
-        sign * q[rows],
-        A,
-        q[equations],
-        np.append(lower, np.zeros(k)),
-        np.append(upper, np.full(k, np.inf)),
-    )
+    c = np.append(c, (high - low)[boxed])
+    bounds = np.append(lower, np.zeros(k)), np.append(upper, np.full(k, np.inf))
+    return ProgramData(P, c, G, sign * q[rows], A, q[equations], *bounds)
 
 
 def with_signed_equations(problem: LCP) -> LCP:

@@ -18,13 +18,8 @@ from typing import ClassVar
 import numpy as np
 from numpy.typing import ArrayLike
 
-from ..core.algorithm import (
-    MODULUS,
-    IterationFacts,
-    Step,
-    check_positive,
-    require_positive_diagonal,
-)
+from ..core import algorithm
+from ..core.algorithm import IterationFacts, Step, check_positive, require_positive_diagonal
 from ..core.checks import Vector, vector_option
 from ..core.errors import InvalidOption, UnsuitableProblem
 from ..core.kernels.splitting_sweeps import modulus_sweep
@@ -69,7 +64,7 @@ class ModulusBased(Splitting):
     def facts(self, problem: LCP) -> IterationFacts:
         """Return α, β, Ω and the sweep."""
         omega = self._checked_omega(problem)
-        return IterationFacts(MODULUS, *self.weights(), self.sweep, omega=omega)
+        return IterationFacts(algorithm.MODULUS, *self.weights(), self.sweep, omega=omega)
 
     def iterates(self, problem: LCP, z0: Vector) -> Iterator[Step]:
         """Yield z = lower + max(x, 0) of x₀, x₁, …, each with its residual."""

@@ -385,9 +385,8 @@ class ProjectedCycles:
         """Find the free rows of z and truncate to them; return the largest scaled residual and the rows changed."""
         top, fine, truncation = self.truncation.grids[k], self.problems[k], self.truncation
         fine.grid.halo.fetch(z)
-        largest, rows = kernels.free_rows(
-            fine.grid.rows, fine.vectors, z, top.is_free, top.free_changed, fine.residual
-        )
+        flags = top.is_free, top.free_changed
+        largest, rows = kernels.free_rows(fine.grid.rows, fine.vectors, z, flags, fine.residual)
         self.work += fine.entries
         if changed := truncation.halo.total(rows):
             truncation.update()
@@ -489,12 +488,10 @@ class MultigridRun(ProjectedCycles):
 
     def _residual(self, z: Vector) -> float:
         """Return the largest scaled residual of z without a change of the free set."""
-        fine = self.problems[0]
-        free, changed = np.ones(z.size, np.bool_), np.empty(z.size, np.bool_)
-        residual = fine.residual
-        largest, _ = kernels.free_rows(fine.grid.rows, fine.vectors, z, free, changed, residual)
+        fine, flags = self.problems[0], (np.ones(z.size, np.bool_), np.empty(z.size, np.bool_))
+        largest, _ = kernels.free_rows(fine.grid.rows, fine.vectors, z, flags, fine.residual)
         self.work += fine.entries
-        return float(largest)
+        return largest
 
     # --- nested iteration -------------------------------------------------------------------------------
 

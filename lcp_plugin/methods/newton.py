@@ -16,7 +16,7 @@ import numpy as np
 import scipy.sparse as sp
 
 from ..core.algorithm import Algorithm, Step
-from ..core.checks import BoolVector, Vector
+from ..core.checks import Array, BoolVector, Vector
 from ..core.entries import max_norm
 from ..core.kernels.floats import EPSILON
 from ..core.lcp import LCP
@@ -88,19 +88,14 @@ def signature(at_lower: BoolVector, at_upper: BoolVector) -> bytes:
 
 
 def solve_active_set(
-    problem: LCP,
-    at_lower: BoolVector,
-    at_upper: BoolVector,
-    *,
-    near: Vector | None = None,
-    system: FreeSystem | None = None,
+    problem: LCP, *sides: BoolVector, near: Array = None, system: FreeSystem | None = None
 ) -> ActiveSetSolution | None:
     """Return z with z at its bounds on the active rows and w = 0 on the free rows; None if the solve overflows.
 
     Parameters
     ----------
-    at_lower, at_upper : ndarray of bool, shape (n,)
-        The active rows; the bounds there are finite.
+    *sides : two arrays of bool, shape (n,)
+        The active rows, at their lower and at their upper bounds; the bounds there are finite.
     near : ndarray, shape (n,), optional
         Target if the free block is singular: a solution close to this z is computed; 0 by default.
     system : FreeSystem, optional
@@ -117,6 +112,7 @@ def solve_active_set(
     >>> solve_active_set(problem, np.array([False, True]), np.array([False, False])).z
     array([2.5, 0. ])
     """
+    at_lower, at_upper = sides
     z = np.where(at_lower, problem.lower, np.where(at_upper, problem.upper, 0.0))
     free = ~(at_lower | at_upper)
     if system is None or not np.array_equal(free, system.free):
@@ -139,12 +135,12 @@ def polish_active_set(problem: LCP, z: Vector, most_work: float) -> ActiveSetSol
     >>> polish_active_set(LCP([[2, 1], [1, 2]], [-5, 1]), np.array([2.4, 0.1]), 100.0).z
     array([2.5, 0. ])
     """
-    at_lower, at_upper = classify(problem, z, problem.slack(z))
-    system = FreeSystem(problem.matrix, ~(at_lower | at_upper), by_factor=True)
+    sides = classify(problem, z, problem.slack(z))
+    system = FreeSystem(problem.matrix, ~np.logical_or(*sides), by_factor=True)
     most = most_work * max(problem.nonzeros, 1)
     if factor_operations(system.principal, most) > most or system.is_singular:
         return None
-    return solve_active_set(problem, at_lower, at_upper, near=z, system=system)
+    return solve_active_set(problem, *sides, near=z, system=system)
 
 
 class NewtonState:
@@ -196,16 +192,14 @@ class NewtonState:
         work, self.work = self.work, 0.0
         return Step(self.best_z, self.best, work=work)
 
-    def is_known(self, at_lower: BoolVector, at_upper: BoolVector) -> bool:
+    def is_known(self, *sides: BoolVector) -> bool:
         """Return whether this active set has been solved before."""
-        return signature(at_lower, at_upper) in self._solved
+        return signature(*sides) in self._solved
 
-    def solve(self, at_lower: BoolVector, at_upper: BoolVector) -> ActiveSetSolution | None:
+    def solve(self, *sides: BoolVector) -> ActiveSetSolution | None:
         """Return the solution for an active set; if its block is singular, the solution nearest to the current z."""
-        self._solved.add(signature(at_lower, at_upper))
-        solution = solve_active_set(
-            self.problem, at_lower, at_upper, near=self.z, system=self._system
-        )
+        self._solved.add(signature(*sides))
+        solution = solve_active_set(self.problem, *sides, near=self.z, system=self._system)
         if solution is not None:
             self._system = solution.system
             self.work += solution.work
@@ -356,11 +350,8 @@ def fischer_burmeister(
         by_z = np.where(has_lower, by_a + by_b * by_z, by_z)
         by_s = np.where(has_lower, by_b * by_s, by_s)
     is_fixed = problem.lower == problem.upper
-    return LinearizedPhi(
-        np.where(is_fixed, z - problem.lower, value),
-        np.where(is_fixed, 1.0, by_z),
-        np.where(is_fixed, 0.0, by_s),
-    )
+    parts = (z - problem.lower, value), (1.0, by_z), (0.0, by_s)
+    return LinearizedPhi(*(np.where(is_fixed, *pair) for pair in parts))
 
 
 def _phi(a: Vector, b: Vector) -> tuple[Vector, Vector, Vector]:

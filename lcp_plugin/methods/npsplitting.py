@@ -9,6 +9,7 @@ from typing import Any, ClassVar
 import numpy as np
 import scipy.sparse as sp
 
+from ..core import sweep_data
 from ..core.algorithm import PROJECTED_SPLITTING, IterationFacts, Step, check_choice
 from ..core.checks import Vector
 from ..core.entries import max_norm
@@ -16,12 +17,6 @@ from ..core.errors import InvalidOption, InvalidProblem, UnsuitableMatrix
 from ..core.lcp import LCP
 from ..core.matrix import Matrix, fact
 from ..core.splittings import ScaledByRows, step_unit
-from ..core.sweep_data import (
-    balanced_factors,
-    inverse_residual_scale,
-    triangle_sums,
-    unit_triangle_sums,
-)
 from ..judges.lcp import scaled_residual
 from ..systems.factors import sparse_lu
 
@@ -70,7 +65,7 @@ class NPSplitting(ScaledByRows):
                 f'npsplitting: S(𝓜 + D) + 2I is singular ({error}); choose another splitting, or algorithm="auto"'
             ) from error
         entries = max(problem.nonzeros, 1)
-        scale = inverse_residual_scale(problem.matrix)
+        scale = sweep_data.inverse_residual_scale(problem.matrix)
         unit = step_unit(max_norm(problem.q * scale))
         work = (splitting.nnz + factor.nnz + problem.nonzeros) / entries
         points, z = self.extrapolations(z0, problem.lower, problem.upper), z0
@@ -99,8 +94,9 @@ class NPSplitting(ScaledByRows):
         if not isinstance(self.splitting, str):
             return 1.0
         matrix, part = problem.matrix, part_of(problem.matrix, self.splitting)
-        taken = np.add(*triangle_sums(matrix, np.ones(matrix.n), part))
-        return balanced_factors(matrix, 1.0, taken, unit_triangle_sums(matrix))
+        taken = np.add(*sweep_data.triangle_sums(matrix, np.ones(matrix.n), part))
+        sums = sweep_data.unit_triangle_sums(matrix)
+        return sweep_data.balanced_factors(matrix, 1.0, taken, sums)
 
     def _matrix(self, problem: LCP) -> sp.csr_array:
         M = problem.csr

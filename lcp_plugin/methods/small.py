@@ -34,16 +34,8 @@ from ..core.lcp import LCP
 from ..core.matrix import fact
 from ..core.settings import Settings
 from ..core.structure import equation_signs
-from ..judges.lcp import (
-    NEAREST,
-    SET_TO_BOUND,
-    Measured,
-    RowData,
-    bound_residual,
-    bound_residuals,
-    row_data,
-    times,
-)
+from ..judges import lcp as judge
+from ..judges.lcp import Measured, RowData, bound_residual, bound_residuals, row_data, times
 from .banded import banded_passes
 
 GUESSED = "small: a few sweeps guess the active set"
@@ -95,12 +87,11 @@ def fails_surely(problem: LCP, z: Vector, settings: Settings) -> bool:
     if data.labels is not None or data.origin.any():
         return False
     w, terms = data.M @ z + data.q, data.absolute @ np.abs(z) + np.abs(data.q)
-    step = np.where(np.abs(w) <= 2.0 * NEAREST * terms, 0.0, w / data.scale)
+    step = np.where(np.abs(w) <= 2.0 * judge.NEAREST * terms, 0.0, w / data.scale)
     size = np.maximum.reduce(np.abs(clip(step, z - data.upper, z - data.lower)))
     at_0 = np.maximum.reduce(np.abs(clip(data.q / data.scale, -data.upper, -data.lower)))
-    return bool(
-        at_0 > 0.0 and math.inf > size > 2.0 * max(tolerance * at_0, settings.absolute_tolerance)
-    )
+    allowed = 2.0 * max(tolerance * at_0, settings.absolute_tolerance)
+    return bool(at_0 > 0.0 and allowed < size < math.inf)
 
 
 def is_small(problem: LCP) -> bool:
@@ -287,13 +278,7 @@ def _select(arrays: Any, items: Any) -> list[Any]:
 
 
 def _ends_of_paths(
-    M: Vector,
-    q: Vector,
-    lower: Vector,
-    upper: Vector,
-    *,
-    follow: Any = follow_paths,
-    label: int = -1,
+    M: Vector, q: Vector, lower: Any, upper: Any, *, follow: Any = follow_paths, label: int = -1
 ) -> Any:
     """Return the active sets at the ends of Lemke's paths; free unknowns are eliminated before, or split.
 
@@ -432,7 +417,8 @@ def candidates(data: RowData, z0: Vector) -> Iterator[tuple[str, Vector, float]]
         ends = _end_of_game if is_game else _ends_of_paths
         (side,) = ends(*stack, follow=FOLLOW_IN_PYTHON if is_short else follow_paths)
         z = solve_active_set(*arrays, side) if (side != LOST).all() else np.full(side.size, np.nan)
-        least = SET_TO_BOUND * np.abs(z).max()  # a degenerate path ends with noise near bounds
+        # A degenerate path ends with noise near bounds
+        least = judge.SET_TO_BOUND * np.abs(z).max()
         near = np.where(data.upper - z <= least, data.upper, z)
         yield "path", np.where(z - data.lower <= least, data.lower, near), 3.0 * entries
         if np.isfinite(z).all():

@@ -22,10 +22,8 @@ from ..core.settings import checked_tolerance
 from .small import LOOP_UP_TO, tilts
 
 INF = jnp.inf
-TOLERANCES = {
-    8: 1e-8,
-    4: 1e-3,
-}  # by bytes of a number; single precision shows no smaller residual of 30 unknowns
+# By bytes of a number; single precision shows no smaller residual of 30 unknowns
+TOLERANCES = {8: 1e-8, 4: 1e-3}
 
 
 class _Path(NamedTuple):
@@ -133,9 +131,8 @@ def _path_ends(M: Array, q: Array, lower: Array, upper: Array) -> tuple[Any, Any
     far = jnp.where(has_no_bound, reach, 0.0)
     T = M * scale[:, None] * sign[None]
     perturbed = jnp.finfo(q.dtype).eps ** 0.7 * size * jnp.asarray(tilts(n), q.dtype)[:, None]
-    v += jnp.where(has_no_bound, 0.0, perturbed) - _times(
-        T, far
-    )  # an equation may hold at one point
+    # An equation may hold at one point
+    v += jnp.where(has_no_bound, 0.0, perturbed) - _times(T, far)
     base, width = base - far, jnp.where(has_no_bound, 2.0 * far, upper - lower)
     value = jnp.where(width == 0.0, 0.0, -v).max(0, initial=0.0)
     zero, count, is_open = jnp.zeros_like(q), q.shape[1], jnp.ones(q.shape[1], bool)
@@ -159,9 +156,8 @@ def _path_ends(M: Array, q: Array, lower: Array, upper: Array) -> tuple[Any, Any
     is_slack = path.columns // n == 1
     ends = jnp.where((path.sides == HIGH) == (sign > 0.0), upper, lower)
     z = base + sign * zero.at[place].set(path.v, mode="drop")
-    z = jnp.where(
-        is_free, z, jnp.where(has_no_bound, jnp.where(path.sides == HIGH, far, -far), ends)
-    )
+    ends = jnp.where(has_no_bound, jnp.where(path.sides == HIGH, far, -far), ends)
+    z = jnp.where(is_free, z, ends)
     for _ in range(2):
         wrong = jnp.where(is_free, -scale * (q + _times(M, z)), 0.0)
         wrong = jnp.where(is_slack, _gather(wrong, slacks, 0), 0.0)
@@ -181,9 +177,8 @@ class _Rows(NamedTuple):
         """Return the values of all rows at z."""
         products, info = _times(abs(M), abs(z)), jnp.finfo(q.dtype)
         terms = products + abs(q)
-        unit = (
-            0.5 * float(info.eps) + 3.0 * 2.0**-53
-        )  # of a sum here, and of a second one in double precision
+        # Of a sum here, and of a second one in double precision
+        unit = 0.5 * float(info.eps) + 3.0 * 2.0**-53
         rounding = (len(q) + 8) * (unit * terms + float(info.tiny) * (1.0 + abs(z).sum(0)))
         return cls(q + _times(M, z), terms, jnp.where(products > 0.0, rounding, 0.0))
 

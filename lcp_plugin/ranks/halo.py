@@ -27,7 +27,7 @@ class Ranks:
     def __init__(self, comm: Any) -> None:
         try:
             from mpi4py import MPI
-        except (ImportError, RuntimeError) as error:  # the latter if there is no MPI library
+        except (ImportError, RuntimeError) as error:  # the latter without an MPI library
             raise InvalidOption(
                 f"several ranks need mpi4py and an MPI library ({error}); pip install mpi4py mpich (or lcp_plugin[mpi])"
             ) from None
@@ -123,7 +123,7 @@ def _described(error: BaseException) -> tuple[type[LCPError], str]:
 
 @contextmanager
 def deferred_interruptions() -> Iterator[Callable[[], bool]]:
-    """Let Ctrl-C be a request to all ranks at the next step, which the yielded function tells; a second one ends."""
+    """Turn Ctrl-C into a request to all ranks, which the yielded function returns; a second Ctrl-C ends this rank."""
     requests: list[int] = []
 
     def hear(number: int, _: object) -> None:

@@ -11,7 +11,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
-from functools import cache
+from functools import cache, partial
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -176,14 +176,12 @@ def _sparse_lu(matrix: sp.csr_array, is_symmetric: bool) -> Factor | None:
     except RuntimeError:
         return None
 
-    def solver(trans: str) -> Callable[[Any], Any]:
-        return lambda right: factor.solve(right, trans=trans)
-
     # Each pivot multiplies its column of L with its row of U.
     columns_of_lower = np.diff(factor.L.indptr).astype(np.float64)
     rows_of_upper = np.bincount(factor.U.indices, minlength=factor.shape[0])
     work = float(columns_of_lower @ rows_of_upper)
-    return Factor(solver("T"), solver("N"), work, float(factor.nnz))
+    solvers = partial(factor.solve, trans="T"), partial(factor.solve, trans="N")
+    return Factor(*solvers, work, float(factor.nnz))
 
 
 def _suits_one_order(matrix: sp.csr_array) -> bool:

@@ -41,9 +41,8 @@ class LinearizedSystem:
     """The system at a solution, or at as many as there are rows: vectors have shape (n,) or (k, n) throughout."""
 
     _product: Any  # M x, or Mᵀx if `transposed`
-    _solve_free: (
-        Any  # the x with J_FF x = right_F, or of the transposed system, 0 in the other rows
-    )
+    # the x with J_FF x = right_F, or of the transposed system, 0 in the other rows
+    _solve_free: Any
 
     def _by_slack(self, x: Vector, *, transposed: bool = False) -> Any:
         """Return R_w x, or R_wᵀx; only the free rows are used."""

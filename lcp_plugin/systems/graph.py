@@ -14,15 +14,9 @@ from typing import TYPE_CHECKING
 import numpy as np
 import scipy.sparse as sp
 
+from ..core import entries
 from ..core.checks import AnyMatrix, Vector, read_only
-from ..core.entries import (
-    Exponents,
-    IntVector,
-    row_numbers,
-    scale_matrix,
-    times_power,
-    with_entries,
-)
+from ..core.entries import Exponents, IntVector, row_numbers, with_entries
 from ..core.matrix import Matrix, fact
 from ..core.rounding import compensated_product, lower_end, upper_end
 from ..core.structure import ROUNDED, mismatch
@@ -155,7 +149,7 @@ class ComparisonMatrix:
     def __init__(self, M: AnyMatrix) -> None:
         self.is_symmetric = mismatch(M, np.abs(M.diagonal()), ROUNDED)[1] is None
         self.exponents: Exponents | None = scaling_exponents(M, self.is_symmetric)
-        self.matrix = scale_matrix(comparison_of(M), self.exponents)
+        self.matrix = entries.scale_matrix(comparison_of(M), self.exponents)
         self.diagonal: Vector = self.matrix.diagonal()
 
     @cached_property
@@ -196,4 +190,4 @@ class ComparisonMatrix:
 
     def to_caller(self, x: Vector) -> Vector:
         """Return the unscaled vector for a vector x of the scaled matrix, shape (n,)."""
-        return times_power(x, None if self.exponents is None else self.exponents.column)
+        return entries.times_power(x, None if self.exponents is None else self.exponents.column)

@@ -87,10 +87,8 @@ def minimum_degree(begins, workspace, last, most_entries, most_operations, most_
     weight, degree, is_gone = np.ones(n, np.int64), np.empty(n, np.int64), np.zeros(n, np.bool_)
     head, after, before = np.full(n + 1, -1), np.full(n, -1), np.full(n, -1)
     outside, mark, tag = np.zeros(n, np.int64), np.zeros(n, np.int64), 1
-    held = np.empty(n, np.int64)
-    key = np.empty(n, np.int64)
-    bucket = np.full(n, -1)
-    chain = np.full(n, -1)
+    held, key = np.empty(n, np.int64), np.empty(n, np.int64)
+    bucket, chain = np.full(n, -1), np.full(n, -1)
     for i in range(n):
         begin[i], size[i] = begins[i], begins[i + 1] - begins[i]
         degree[i] = size[i]
@@ -185,10 +183,8 @@ def minimum_degree(begins, workspace, last, most_entries, most_operations, most_
                         mark[workspace[k]] = tag
                     j = chain[i]
                     while j >= 0:
-                        is_same = (
-                            weight[j] > 0 and size[j] == size[i] and elements[j] == elements[i]
-                        )
-                        if is_same:
+                        is_same = weight[j] > 0 and size[j] == size[i]
+                        if is_same and elements[j] == elements[i]:
                             for k in range(begin[j] + 1, begin[j] + size[j]):
                                 if mark[workspace[k]] != tag:
                                     is_same = False

@@ -39,20 +39,13 @@ def splitting_sweep(  # type: ignore[no-untyped-def]
     r_i is computed as mid(z_i − u_i, z_i − l_i, step_i w_i), the same number without cancelling a small w
     against a large z. The residual is max_i |mid(z_i − u_i, z_i − l_i, inverse_scale_i w_i)|.
     """
-    n = uintp(rows.shape[0])
-    one = uintp(1)
-    largest = 0.0
-    squares = 0.0
-    near = 0.0
+    n, one = uintp(rows.shape[0]), uintp(1)
+    largest = squares = near = 0.0
     for k in range(n):
         i = n - one - k if backward else k
         first, last, other, other_end = halves_of_row(indptr, split, i, backward)
-        w = rows[i, 0]
-        c = 0.0
-        nearest_weight = 0.0
-        nearest_change = 0.0
-        inverse = rows[i, 5]
-        s = rows[i, 4]
+        w, low, high, inverse, s = rows[i, 0], rows[i, 1], rows[i, 2], rows[i, 5], rows[i, 4]
+        c = nearest_weight = nearest_change = 0.0
         for at in range(other, other_end):
             w += data[at] * z[uintp(indices[at])]
         if last > first:
@@ -68,8 +61,6 @@ def splitting_sweep(  # type: ignore[no-untyped-def]
             nearest_weight = coupling * s * data[nearest] * inverse
             nearest_change = near if j + one == i or i + one == j else new[j] - old
         zi = z[i]
-        low = rows[i, 1]
-        high = rows[i, 2]
         r = abs(residual_of_row(w * rows[i, 3], zi, low, high))
         if r > largest or r != r or zi != zi:
             largest = r + zi if zi != zi else r
@@ -97,18 +88,13 @@ def relaxation_sweep(  # type: ignore[no-untyped-def]
 
     `rows` holds q, lower, upper, inverse_scale. Returns max_i |change of z_i| and Σ_i |change of z_i|.
     """
-    n = uintp(rows.shape[0])
-    one = uintp(1)
-    largest = 0.0
-    total = 0.0
-    near = 0.0
+    n, one = uintp(rows.shape[0]), uintp(1)
+    largest = total = near = 0.0
     for k in range(n):
         i = n - one - k if backward else k
         first, last, other, other_end = halves_of_row(indptr, split, i, backward)
-        w = rows[i, 0]
-        nearest_weight = 0.0
-        nearest_value = 0.0
-        s = relaxation * rows[i, 3]
+        w, s = rows[i, 0], relaxation * rows[i, 3]
+        nearest_weight = nearest_value = 0.0
         for at in range(other, other_end):
             w += data[at] * z[uintp(indices[at])]
         if last > first:
@@ -142,14 +128,11 @@ def modulus_sweep(  # type: ignore[no-untyped-def]
 
     Returns max_i |min(z_i − lower_i, w_i inverse_scale_i)|, and 0.
     """
-    n = uintp(rows.shape[0])
-    one = uintp(1)
-    largest = 0.0
+    n, one, largest = uintp(rows.shape[0]), uintp(1), 0.0
     for k in range(n):
         i = n - one - k if backward else k
         first, last, other, other_end = halves_of_row(indptr, split, i, backward)
-        w = rows[i, 0]
-        c = 0.0
+        w, c = rows[i, 0], 0.0
         for at in range(first, last):
             j = uintp(indices[at])
             old = x[j]

@@ -195,9 +195,8 @@ class Lemke(Algorithm):
             lower = np.where(dependent, 0.0, component.lower)
             vertex = LCP(component.matrix, component.q, lower=lower, upper=component.upper)
         is_right, at_lower = False, at_lower | dependent
-        for _ in range(
-            1 + bool(bounded.all())
-        ):  # the path leaves out what is below its perturbation
+        # The path leaves out what is below its perturbation
+        for _ in range(1 + bool(bounded.all())):
             refined = solve_active_set(vertex, at_lower, at_upper)
             if refined is None:
                 break

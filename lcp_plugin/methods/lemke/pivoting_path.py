@@ -72,10 +72,8 @@ class CanonicalBox:
     @property
     def is_finite(self) -> bool:
         """True if all arrays are finite."""
-        return all(
-            bool(np.isfinite(part).all())
-            for part in (self.M, self.q, self.step, self.elimination, self.offset)
-        )
+        parts = self.M, self.q, self.step, self.elimination, self.offset
+        return all(bool(np.isfinite(part).all()) for part in parts)
 
     def recover(self, z: Vector) -> Vector:
         """Return the z of the problem, shape (n,), for a z of the canonical problem, shape (k,)."""
@@ -131,13 +129,7 @@ def _equilibrated(M: FloatMatrix) -> tuple[FloatMatrix, IndexVector, IndexVector
 
 
 def _without_free_rows(
-    M: FloatMatrix,
-    q: Vector,
-    upper: Vector,
-    unit: Vector,
-    base: Vector,
-    keep: IndexVector,
-    is_free: NDArray[np.bool_],
+    M: Array, q: Vector, upper: Vector, unit: Vector, base: Vector, keep: Array, is_free: Array
 ) -> CanonicalBox:
     free, one_sided = np.flatnonzero(is_free), np.flatnonzero(~is_free & (upper == np.inf))
     kept, empty = _independent(M, free), free[:0]
@@ -282,31 +274,24 @@ class LemkePath:
         level = np.where(covering > 0.0, -q / covering, -np.inf)
         basis, side = n + np.arange(n), np.full(n, tableau.AT_LOWER)
         t = max(0.0, float(level.max()))
-        return self.start_at_vertex(covering, basis, side, 2 * n, -1.0, level=t)
+        return self.start_at_vertex(covering, basis, side, (2 * n, -1.0), t)
 
     def start_in_cell(self, side: Array, z: Vector, w: Vector) -> bool:
         """Start at t = 1 from a complementary pair with the r that makes it exact; return False if it is singular."""
         n = self.n
         basis = np.where(side == tableau.BETWEEN, np.arange(n), n + np.arange(n))
         covering = w - self.M @ z - self.q
-        is_started = self.start_at_vertex(covering, basis, side, 2 * n, -1.0, level=1.0)
+        is_started = self.start_at_vertex(covering, basis, side, (2 * n, -1.0), 1.0)
         self.whole[tableau.START, :n] = side
         return is_started
 
     def start_at_vertex(
-        self,
-        covering: Vector,
-        basis: Array,
-        side: Array,
-        driven: int,
-        direction: float,
-        *,
-        level: float = 0.0,
+        self, covering: Vector, basis: Array, side: Array, moving: Any, level: float = 0.0
     ) -> bool:
-        """Start at a basis with variable `driven` moving in the direction; `level` is the value of a driven t."""
+        """Start at a basis; `moving` are the driven variable and its direction, `level` is the value of a driven t."""
         self.covering = self.columns[:, self.n] = covering
         self.basis[:], self.side[:] = basis, side
-        self.driven, self.value, self.direction = driven, level, direction
+        (self.driven, self.direction), self.value = moving, level
         self.whole[tableau.START, : self.n] = tableau.NOT_STARTED
         self.pivots = 0
         return self._renew()
@@ -524,9 +509,9 @@ def _lemke_howson(path: LemkePath, players: NDArray[np.bool_], k: int) -> bool:
     basis[[k, s]] = k, s
     side[[k, s]] = tableau.BETWEEN
     if blocking == k:
-        return path.start_at_vertex(covering, basis, side, 2 * n, -1.0)
+        return path.start_at_vertex(covering, basis, side, (2 * n, -1.0))
     basis[blocking] = 2 * n
-    return path.start_at_vertex(covering, basis, side, blocking, 1.0)
+    return path.start_at_vertex(covering, basis, side, (blocking, 1.0))
 
 
 def _last_to_become_feasible(path: LemkePath, column: int, rows: NDArray[np.bool_]) -> int | None:

@@ -146,14 +146,8 @@ def explore(
         yield None
     if explorer.faces:
         yield [
-            Solution(
-                tuple(face.point),
-                tuple(exact_slack(problem, face.point)),
-                face.pattern,
-                face.dimension,
-                problem,
-            )
-            for face in _maximal(explorer.faces)
+            Solution(tuple(z), tuple(exact_slack(problem, z)), pattern, dimension, problem)
+            for pattern, _, z, dimension in _maximal(explorer.faces)
         ]
     elif not first_only:
         # A search for all solutions skips pieces contained in others; the proof must not.
@@ -291,11 +285,8 @@ class ExhaustiveSearch(Algorithm):
         yield Step(z0, work=0.0)
         effort, reported = Effort(), Effort()
         for outcome in explore(problem, effort):
-            is_due = (
-                effort.cases - reported.cases >= 50
-                or effort.products - reported.products >= QUANTUM
-            )
-            if outcome is None and not is_due:
+            cases, products = effort.cases - reported.cases, effort.products - reported.products
+            if outcome is None and cases < 50 and products < QUANTUM:
                 continue
             step = Step(z0, work=(effort.entries - reported.entries) / max(problem.nonzeros, 1))
             reported = replace(effort)

@@ -6,8 +6,8 @@ All arithmetic is exact.
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass
 from fractions import Fraction
+from typing import NamedTuple
 
 from ...core.lcp import LCP
 from ...proofs.exact import integer_matrix, slack_bounds
@@ -16,10 +16,10 @@ from .simplex import Bound, Effort, ExactSimplex
 
 Point = tuple[Fraction, ...]
 Target = tuple[str, Bound, Bound]  # a choice, and the bounds of its basic variable
+Closed = dict[tuple[int, str], list[Fraction]]  # excluded choices of rows, each with its proof
 
 
-@dataclass(frozen=True)
-class Face:
+class Face(NamedTuple):
     """Polyhedron of the solutions of one pattern of choices, with one vertex.
 
     `tight[i]` holds all choices of row i that every point of it satisfies.
@@ -46,13 +46,8 @@ class Explorer:
         self.first_only = first_only
         self.n = problem.n
         self.choices = list(map(row_choices, problem.lower.tolist(), problem.upper.tolist()))
-        self.simplex = ExactSimplex(
-            integer_matrix(problem.matrix),
-            problem.q,
-            (problem.lower, problem.upper),
-            slack_bounds(problem),
-            effort,
-        )
+        data = integer_matrix(problem.matrix), problem.q, (problem.lower, problem.upper)
+        self.simplex = ExactSimplex(*data, slack_bounds(problem), effort)
         self.root_bounds = [self.simplex.bounds(x) for x in range(2 * self.n)]
         self.weights = [max(map(abs, row[:-1]), default=0) or 1 for row in self.simplex.rows]
         self.faces: list[Face] = []
@@ -105,11 +100,10 @@ class Explorer:
             return [implied[i]]  # every other choice describes a part of this one
         return [choice for choice in self.choices[i] if (i, choice) not in closed]
 
-    def _conclusions(self) -> tuple[dict[tuple[int, str], list[Fraction]], dict[int, str]]:
+    def _conclusions(self) -> tuple[Closed, dict[int, str]]:
         """Return the choices that a row of the tableau excludes, each with its proof, and choices that always hold."""
         simplex, n = self.simplex, self.n
-        closed: dict[tuple[int, str], list[Fraction]] = {}
-        implied: dict[int, str] = {}
+        closed, implied = Closed(), dict[int, str]()
         for row, x in enumerate(simplex.basic):
             low, high = simplex.implied_range(row)
             if low is None and high is None:
@@ -134,10 +128,7 @@ class Explorer:
         return closed, implied
 
     def _row_to_split(
-        self,
-        undecided: list[int],
-        closed: dict[tuple[int, str], list[Fraction]],
-        implied: dict[int, str],
+        self, undecided: list[int], closed: Closed, implied: dict[int, str]
     ) -> tuple[int, bool]:
         """Return the row to split (−1 if no row remains), and whether the present point solves the problem."""
         values = self.simplex.numerators()

@@ -13,6 +13,7 @@ from collections.abc import Iterator, Sequence
 from copy import copy
 from functools import cached_property
 from importlib.util import find_spec
+from operator import attrgetter
 from os import PathLike
 from typing import Any, Self
 
@@ -20,16 +21,8 @@ import numpy as np
 import scipy.sparse as sp
 from numpy.typing import ArrayLike, NDArray
 
-from ...core.checks import (
-    AnyMatrix,
-    Vector,
-    checked_bounds,
-    checked_vector,
-    is_number,
-    read_only,
-    real_array,
-    without_none,
-)
+from ...core import checks
+from ...core.checks import AnyMatrix, Vector, is_number, read_only, real_array
 from ...core.deadline import seconds_left
 from ...core.errors import InvalidProblem, did_you_mean
 from ...core.files import MATRIX_KEYS, save_arrays
@@ -71,35 +64,15 @@ class Blocks(Problem):
         self.starts, self.slope = read_only(starts), read_only(slope)
         self._facts: dict[Any, Any] = {}  # properties of M: problems that differ in q share them
 
-    @property
-    def n(self) -> int:
-        """The number of unknowns."""
-        return self.rows.n
-
-    @property
-    def q(self) -> Vector:
-        """The offset, shape (n,)."""
-        return self.rows.q
-
-    @property
-    def lower(self) -> Vector:
-        """Lower bounds, shape (n,): −∞ in cones."""
-        return self.rows.lower
-
-    @property
-    def upper(self) -> Vector:
-        """Upper bounds, shape (n,): ∞ in cones."""
-        return self.rows.upper
-
-    @property
-    def nonzeros(self) -> int:
-        """Number of entries of the matrix."""
-        return self.rows.nonzeros
-
-    @property
-    def nearest_to_zero(self) -> Vector:
-        """The point of K nearest to 0, shape (n,)."""
-        return self.rows.nearest_to_zero
+    n = property(attrgetter("rows.n"), doc="Number of unknowns.")
+    q = property(attrgetter("rows.q"), doc="Offset, shape (n,).")
+    lower = property(attrgetter("rows.lower"), doc="Lower bounds, shape (n,): −∞ in cones.")
+    upper = property(attrgetter("rows.upper"), doc="Upper bounds, shape (n,): ∞ in cones.")
+    matrix = property(attrgetter("rows.matrix"), doc="The matrix with its facts.")
+    nonzeros = property(attrgetter("rows.nonzeros"), doc="Number of entries of the matrix.")
+    nearest_to_zero = property(
+        attrgetter("rows.nearest_to_zero"), doc="Point of K nearest to 0, shape (n,)."
+    )
 
     def slack(self, z: ArrayLike) -> Vector:
         """Return w = M z + q, shape (n,): velocities, of impulses."""
@@ -136,7 +109,7 @@ class Blocks(Problem):
         """Return the problem with another q, shape (n,), b of contacts; it shares the cached properties of M."""
         other = copy(self)
         vector = np.ravel(real_array(q, f"{self.offset} must be a vector"))
-        vector = checked_vector(vector, self.offset, self.n)
+        vector = checks.checked_vector(vector, self.offset, self.n)
         other.rows = self.rows.with_q(vector)
         if self.bodies is not None:  # b does not determine their velocities
             other.bodies = self.bodies._replace(velocities=None)
@@ -194,17 +167,14 @@ class ConeProblem(Blocks):
         slope = (np.asarray(sizes) > 1).astype(np.float64)
         super().__init__(rows, starts, slope, has_friction=False)
 
-    @property
-    def M(self) -> Any:
-        """The stored matrix, dense or CSR."""
-        return self.rows.M
+    M = property(attrgetter("rows.M"), doc="The stored matrix, dense or CSR.")
 
     def _shape(self) -> dict[str, Any]:
         kinds = [CONES.index(cone[0]) for cone in self.cones]
-        rows = [
-            np.broadcast(*arguments).size if name == "box" else int(arguments[0])
-            for name, *arguments in self.cones
-        ]
+        sizes = (
+            np.broadcast(*rest).size if name == "box" else rest[0] for name, *rest in self.cones
+        )
+        rows = [*map(int, sizes)]
         of_cones = {"cone_kinds": np.array(kinds, np.int64), "cone_rows": np.array(rows, np.int64)}
         return {**of_cones, "lower": self.lower, "upper": self.upper}
 
@@ -216,16 +186,15 @@ class ConeProblem(Blocks):
 def _box(bounds: Sequence[Any], name: str) -> tuple[Vector, Vector]:
     """Return lower and upper bounds of each row of a box; raise InvalidProblem for other shapes."""
     need = f"lower and upper of {name} must be real numbers or vectors of the box's rows"
-    low, high = (
-        np.atleast_1d(real_array(without_none(bound, side), need))
-        for bound, side in zip(bounds, ("lower", "upper"), strict=True)
-    )
+    sides = map(checks.without_none, bounds, ("lower", "upper"))
+    low, high = (np.atleast_1d(real_array(side, need)) for side in sides)
     if max(low.ndim, high.ndim) > 1 or len({low.size, high.size} - {1}) > 1:
         raise InvalidProblem(
             f"{need}, got shapes {low.shape} and {high.shape}; write np.ravel(lower), np.ravel(upper) of one length"
         )
     low, high = np.broadcast_arrays(low, high)
-    return checked_bounds(low, high, low.size, names=(f"lower of {name}", f"upper of {name}"))
+    names = f"lower of {name}", f"upper of {name}"
+    return checks.checked_bounds(low, high, low.size, names=names)
 
 
 def _blocks(cones: object, n: int) -> tuple[list[int], Vector, Vector, tuple[Any, ...]]:
@@ -305,9 +274,7 @@ def conic_rows(problem: Blocks) -> tuple[Any, Vector, list[Any]]:
     """Return A, b and cones such that z ∈ K is equivalent to b − A z ∈ cones."""
     import clarabel  # not for problems that other methods solve
 
-    rows: list[Any] = []
-    limits: list[Vector] = []
-    cones: list[Any] = []
+    rows, limits, cones = list[Any](), list[Vector](), list[Any]()
     identity, is_cone = sp.eye_array(problem.n, format="csr"), problem.sizes > 1
     first = problem.starts[:-1]
     single, slopes = first[~is_cone], np.ones(problem.n)

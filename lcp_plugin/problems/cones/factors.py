@@ -9,6 +9,7 @@ import numpy as np
 import scipy.sparse as sp
 
 from ...core.cone_stack import ConeStack, Pattern
+from ...core.matrix import fact
 from ...systems.factors import factorize
 
 LAPACK_UP_TO = 600  # unknowns of a dense system
@@ -106,19 +107,22 @@ class Arms:
         return Factors(solve, inverse.entries)
 
 
+@fact
+def pattern_of(problem: Any) -> tuple[Pattern, Arms | None]:
+    """Return the blocks of M, and the bodies behind them, which problems with this matrix share."""
+    M = problem.rows.M
+    # A small sparse problem is stored as dense
+    if sp.issparse(M) and problem.n <= (FEW if problem.bodies else 300):
+        M = M.toarray()
+    pattern = Pattern(M[None] if isinstance(M, np.ndarray) else M, problem.starts)
+    has_arms = problem.bodies is not None and pattern.n > FEW
+    return pattern, Arms(problem.bodies, pattern) if has_arms else None
+
+
 def stack_of(problem: Any) -> ConeStack:
-    """Return the stack of one problem; the data of its matrix are cached for problems with this matrix."""
-    facts, M = problem._facts, problem.rows.M
+    """Return the stack of one problem."""
+    pattern, arms = pattern_of(problem)
+    vectors = problem.q, problem.slope, problem.lower, problem.upper
+    stacked, has_friction = (vector[None] for vector in vectors), problem.has_friction
     with np.errstate(all="ignore"):
-        if "stack" not in facts:
-            # A small sparse problem is stored as dense
-            if sp.issparse(M) and problem.n <= (FEW if problem.bodies else 300):
-                M = M.toarray()
-            pattern = Pattern(M[None] if isinstance(M, np.ndarray) else M, problem.starts)
-            has_arms = problem.bodies is not None and pattern.n > FEW
-            facts["stack"] = pattern, Arms(problem.bodies, pattern) if has_arms else None
-        pattern, arms = facts["stack"]
-        arrays = (
-            vector[None] for vector in (problem.q, problem.slope, problem.lower, problem.upper)
-        )
-        return ConeStack(pattern, *arrays, has_friction=problem.has_friction, arms=arms)
+        return ConeStack(pattern, *stacked, has_friction=has_friction, arms=arms)

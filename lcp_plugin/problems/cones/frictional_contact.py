@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from copy import copy
+from operator import attrgetter
 from os import PathLike
 from typing import Any
 
@@ -110,10 +111,8 @@ class FrictionalContactBatch:
         if not is_there.all():
             is_row = np.pad(np.repeat(is_there, d, axis=1), ((0, 0), (0, p)), constant_values=True)
             is_entry = is_row[:, :, np.newaxis] & is_row[:, np.newaxis]
-            matrices, offsets = (
-                np.where(is_entry, matrices, np.eye(n)),
-                np.where(is_row, offsets, 1.0),
-            )
+            matrices = np.where(is_entry, matrices, np.eye(n))
+            offsets = np.where(is_row, offsets, 1.0)
             mu = np.where(is_there, mu, 0.0)
         self.W, self.b, self.friction = map(checks.read_only, (matrices, offsets, mu))
         contact.warn_of_much_friction(np.nan_to_num(self.friction, posinf=0.0))
@@ -261,10 +260,8 @@ class FrictionalContact(Blocks):
                 W = W.toarray()
             dimension = self.bodies.dimension if dimension is None else dimension
         self.equations = p = contact.checked_count(equations)
-        shape = getattr(W, "shape", ())
-        is_batch = (
-            velocities.ndim == 2 and shape == (velocities.shape[1],) * 2 != (velocities.size,) * 2
-        )
+        shape, width = getattr(W, "shape", ()), velocities.shape[1:]
+        is_batch = velocities.ndim == 2 and shape == width * 2 != (velocities.size,) * 2
         if velocities.ndim not in (1, 2) or is_batch:
             raise InvalidProblem(
                 f"{need}, got shape {velocities.shape}; for many problems use FrictionalContact.worlds"
@@ -272,10 +269,8 @@ class FrictionalContact(Blocks):
         if velocities.ndim == 2 and velocities.shape[1] == 1:  # a column
             velocities = velocities[:, 0]
         if velocities.ndim == 2:
-            if dimension not in (None, velocities.shape[1]):
-                raise InvalidProblem(
-                    f"b has {velocities.shape[1]} columns and dimension is {dimension}"
-                )
+            if dimension not in (None, *width):
+                raise InvalidProblem(f"b has {width[0]} columns and dimension is {dimension}")
             dimension = velocities.shape[1]
         offset = checks.checked_vector(velocities.ravel(), "b", None)
         friction = real_array(friction, "friction must be a number, or one per contact")
@@ -309,15 +304,8 @@ class FrictionalContact(Blocks):
         shape = {"dimension": self.dimension, "equations": self.equations}
         return FrictionalContact(W, other.b, self.friction, **shape)
 
-    @property
-    def W(self) -> Any:
-        """The stored matrix from impulses to velocities, dense or CSR."""
-        return self.rows.M
-
-    @property
-    def b(self) -> Vector:
-        """Velocities without impulses, shape (d k,)."""
-        return self.q
+    W = property(attrgetter("rows.M"), doc="Stored matrix from impulses to velocities.")
+    b = property(attrgetter("q"), doc="Velocities without impulses, shape (d k,).")
 
     @property
     def friction(self) -> Vector:

@@ -22,10 +22,8 @@ from .factors import Factors, factorize_matrix
 PROXIMAL, LEAST_PROXIMAL = 1e-3, 1e-12  # of d
 LEAST_OF_BODIES = 1e-8  # the system of the velocities contains 1/ε
 EXACT_OF_BODIES = 2.0**-36  # 1/ε enlarges rounding errors by so much
-RECENT, EASIER = (
-    5,
-    0.01,
-)  # residuals whose largest a step may reach; times ε after a full step without GAIN
+# residuals whose largest a step may reach; times ε after a full step without NEWTON_GAIN
+RECENT, EASIER = 5, 0.01
 HALVINGS, DECREASE = 14, 1e-4
 NEWTON_GAIN, EXACT = 0.9, 2.0**-46  # a relative residual at rounding level of the linear systems
 

@@ -135,9 +135,8 @@ def first_sweeps(problem: Blocks, start: Vector | None, tolerance: float) -> Swe
     """Return the end of quick sweeps from a start in the cones; None for other problems than small contact problems."""
     if not (problem.has_friction and 0 < problem.n <= FEW):
         return None
-    z, count, bound = sweep_contacts(
-        problem, np.zeros(problem.n) if start is None else start, tolerance
-    )
+    start = np.zeros(problem.n) if start is None else start
+    z, count, bound = sweep_contacts(problem, start, tolerance)
     return Swept(read_only(z), count, bound)
 
 
@@ -367,9 +366,8 @@ class ConeRun(Run):
     def _first_points(self) -> Iterator[Stage]:
         """Yield the point of a small contact problem after quick sweeps if it passes, or the start if that passes."""
         stack, most = self.stack, self.settings.max_iterations
-        swept = self.swept or first_sweeps(
-            self.problem, stack.pattern.flat(self.start)[0], self.tolerance
-        )
+        start = stack.pattern.flat(self.start)[0]
+        swept = self.swept or first_sweeps(self.problem, start, self.tolerance)
         if swept is not None:
             iterations, bound = swept.iterations, swept.bound
             if bound < np.inf and iterations <= most - max(self.progress.iteration, 0):

@@ -149,7 +149,7 @@ class BranchAndBound:
         self.clock, self.nodes = Clock(), 0
         self.problem, self.tolerance, self.max_nodes = problem, tolerance, max_nodes
         self.relaxations = Relaxations(problem, tolerance)
-        self.best: Node | None = None
+        self.best = Node(problem.all_cases)  # without a point yet, of value ∞
         self._solved_pieces: set[bytes] = set()
         self.start: Vector | None = None
         self.outside: ExternalBound | None = None
@@ -172,22 +172,16 @@ class BranchAndBound:
             print(f"{self.nodes:>8} {numbers} {self.clock.read():>9.2f}", flush=True)
 
     @property
-    def best_value(self) -> float:
-        """Objective of the best point; ∞ before the first point."""
-        return math.inf if self.best is None else self.best.value
-
-    @property
     def value(self) -> float:
         """Objective of the best solution; ∞ before the first solution."""
-        return min(self.best_value, self._outside_value)
+        return min(self.best.value, self._outside_value)
 
     @property
     def lower_bound(self) -> float:
         """Lower bound of the objective over all solutions."""
-        open_nodes = [node for *_, node in self._open[:1]]
-        if self._current is not None:
-            open_nodes.append(self._current)
-        bound = min([self._closed_at, *(node.bound for node in open_nodes)])
+        open_nodes = *(node for *_, node in self._open[:1]), self._current
+        bounds = (node.bound for node in open_nodes if node is not None)
+        bound = min([self._closed_at, *bounds])
         outside = -math.inf if self.outside is None else self.outside.bound
         return min(self.value, max(bound if self.tree else -math.inf, outside))
 
@@ -195,12 +189,12 @@ class BranchAndBound:
     def cutoff(self) -> float:
         """The least bound that closes a node."""
         # A node is closed if its bound is this close to the best value
-        return self.best_value - 0.5 * self.allowed
+        return self.best.value - 0.5 * self.allowed
 
     @property
     def allowed(self) -> float:
         """The gap within the tolerance, relative to the objective terms of the incumbent."""
-        point = None if self.best is None else self.best.point
+        point = self.best.point
         return 0.0 if point is None else self.tolerance * self.problem.objective_size(point)
 
     def run(self, ends: Callable[[], bool], prove: bool) -> EquilibriumResult:
@@ -220,12 +214,12 @@ class BranchAndBound:
             is_done = self.descent is not None or (self._next() is None and not self._is_stuck)
             if ended is not None or is_done:
                 return ended
-        if self.best is None:
+        if self.best.point is None:
             self._try_decisions()
         if engine is None:
             return None
         ended = self._run_scip(engine, ends)
-        is_closed = self.best_value - self.lower_bound <= self.allowed
+        is_closed = self.best.value - self.lower_bound <= self.allowed
         if ended is not None or (is_closed and not prove):
             return ended
         seems_infeasible = self.outside is not None and self.outside.status == "infeasible"
@@ -253,7 +247,7 @@ class BranchAndBound:
         if self.problem.has_convex_relaxation and not self.tree:
             self._root()
         for x in (self.start, *(root.point for root in self.tree[:1]), *ends):
-            if is_over() or self.best is not None:
+            if is_over() or self.best.point is not None:
                 return
             point = None if x is None else self.problem.answer(self.relaxations.projected(x))
             if point is not None:
@@ -273,7 +267,7 @@ class BranchAndBound:
         self.outside = ExternalBound(result.status, result.bound)
         if result.x is not None:
             self.solve_nearest_piece(result.x)
-        if self.best_value < result.bound - self.allowed:  # a better point refutes the bound
+        if self.best.value < result.bound - self.allowed:  # a better point refutes the bound
             self.outside = ExternalBound(result.status, -math.inf)
         return ENDS.get(result.status)
 
@@ -359,32 +353,31 @@ class BranchAndBound:
             solve = self.relaxations
             piece = solve.local_node(cases, x) if is_local else solve.solved_node(cases)
             self._solved_pieces.add(key)
-            if piece.value < self.best_value:
+            if piece.value < self.best.value:
                 self.best = piece
 
     def _result(self, ended: Status | None) -> EquilibriumResult:
-        best, value = self.best, self.best_value
+        value = self.best.value  # ∞ without a point
         # The bound is computed from the leaves, because Ctrl-C may have removed a node from the heap.
         bounds = [node.bound for node in self.tree if node.pair < 0]
         lower = min([value, *bounds]) if self.tree else -math.inf
         bound_by = "proof" if lower > -math.inf else None
-        is_open = best is not None and value - lower > self.allowed
+        is_open = value < math.inf and value - lower > self.allowed
         if self.outside is not None and is_open and self.outside.bound > lower:
             lower, bound_by = min(self.outside.bound, value), "SCIP"
         if self.descent is not None:
-            status, best, bound_by = Status.UNBOUNDED, None, None
-            lower = value = -math.inf
-        elif best is not None and value - lower <= self.allowed:
+            status, bound_by, lower, value = Status.UNBOUNDED, None, -math.inf, -math.inf
+        elif value < math.inf and value - lower <= self.allowed:
             status = Status.SOLVED
         elif ended is not None:
             status = ended
-        elif best is not None or lower < math.inf or self._is_stuck:
+        elif value < math.inf or lower < math.inf or self._is_stuck:
             status = Status.STALLED
         else:
             status = Status.INFEASIBLE if self._is_infeasible else Status.NO_SOLUTION
         is_own = self.outside is None or self.tree
         by = ["SCIP"] * (self.outside is not None) + ["branch and bound"] * bool(is_own)
-        point = None if best is None else best.point
+        point = self.best.point
         if status in PROVEN:
             point = np.full(self.problem.program.n, np.nan)
         outcome = point, value, lower, bound_by, self.relaxations.solved, tuple(self.tree)

@@ -44,16 +44,14 @@ def verdict_at(problem: EquilibriumProgram, x: Any, tolerance: float) -> dict[st
     fields |= {"lower": lower if lower > -math.inf else None, "upper": upper}
     fields["gap"] = max(excess, 0.0) if lower > -math.inf else None
     if upper < value - tolerance * size:
-        reason = (
-            f"a solution has the objective {sense * upper:.9g}, and this one {sense * value:.9g}"
-        )
+        best_value, this = sense * upper, sense * value
+        reason = f"a solution has the objective {best_value:.9g}, and this one {this:.9g}"
         return fields | {"verdict": "disproved", "reason": reason}
     if excess <= tolerance * size:
         reason = f"no solution has an objective that is better by more than {max(excess, 0.0):.2g}"
         return fields | {"verdict": "proved", "reason": reason}
-    reason = (
-        f"x is feasible, and its objective is only proved to be within {excess:.3g} of the best"
-    )
+    reason = "x is feasible, and its objective is only proved to be within "
+    reason += f"{excess:.3g} of the best"
     return fields | {"verdict": "unproved", "reason": reason}
 
 
@@ -75,9 +73,8 @@ def worst_conditions(
         worst.append(WorstRow(f"{z} ⟂ {w}", distance, distance, 1.0, text))
     for j in problem.integers[np.abs(x - np.rint(x))[problem.integers] > allowed].tolist():
         name, distance = program.names.unknown(j, "x[{}]"), float(abs(x[j] - round(x[j])))
-        worst.append(
-            WorstRow(name, distance, distance, 1.0, f"{name} = {x[j]:.6g} is not an integer")
-        )
+        text = f"{name} = {x[j]:.6g} is not an integer"
+        worst.append(WorstRow(name, distance, distance, 1.0, text))
     if not worst and not (excess := problem.excess(x)) <= allowed:
         text = f"a smooth row is violated by {excess:.3g} of its terms"
         worst.append(WorstRow("smooth part", excess, excess, 1.0, text))

@@ -199,10 +199,8 @@ class Relaxations:
         c = program.c - penalty * (rows.T @ (unit * program.b))
         with suppress(UnsupportedModel):
             P = P + penalty * (rows.T @ rows)
-            solution = _solution_of(
-                QuadraticProgram(P, c, program.G, program.h, program.A, program.b, lower, upper),
-                tolerance=1e-10,
-            )
+            penalized = program.with_data(P=P, c=c, lower=lower, upper=upper)
+            solution = _solution_of(penalized, tolerance=1e-10)
             self.solved += 1
             x = self._round_small(np.clip(solution.x, lower, upper), solution.program)
             if solution.is_optimal() and self.problem.excess(x) <= FEASIBLE:
@@ -239,9 +237,8 @@ class Relaxations:
 
     def projected(self, x: Vector) -> Vector:
         """Return the point nearest to x that satisfies the affine rows and bounds, complementary or not."""
-        program, n = self.problem.program, x.size
-        rows = program.G, program.h, program.A, program.b, program.lower, program.upper
-        near = QuadraticProgram(sp.eye_array(n), -x, *rows)
+        program = self.problem.program
+        near = program.with_data(P=sp.eye_array(x.size), c=-x)
         return np.clip(_solution_of(near).x, program.lower, program.upper)
 
     def _solve_in_box(self, program: QuadraticProgram) -> QPSolution:

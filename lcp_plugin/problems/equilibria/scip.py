@@ -41,10 +41,8 @@ from .relaxations import ENDS, FEASIBLE
 
 SCIP_INFINITY = 1e20  # larger numbers are infinite for SCIP, also seconds
 SHARE = 0.25  # of the requested gap
-BOX, BOX_MARGIN = (
-    1e6,
-    1e-3,
-)  # box for unbounded relaxations; relative distance at which a point is at its edge
+# box for unbounded relaxations; relative distance at which a point is at its edge
+BOX, BOX_MARGIN = 1e6, 1e-3
 FAILED = "SCIP:"  # start of SCIP's error messages
 
 Watcher = Callable[[float, float, int], bool]

@@ -37,12 +37,12 @@ import numpy as np
 import scipy.sparse as sp
 
 from ...core.checks import AnyMatrix, Array, BoolVector, Vector, derived_property
-from ...core.deadline import OutOfTimeError, enforced_seconds_left
-from ...core.entries import max_norm
+from ...core.deadline import require_seconds
+from ...core.entries import clip, max_norm
 from ...core.kernels.floats import OUTWARD, TINY
 from ...core.rounding import compensated_product
 from ...judges.worst_rows import WorstRow, WorstRows, outside_row
-from .data import Ball, BoundedLeastSquares, Enclosures, clip, shortest_solution
+from .data import Ball, BoundedLeastSquares, Enclosures, shortest_solution
 from .engines import is_within_reach
 
 
@@ -81,6 +81,7 @@ class Optimality:
                 break
         if optimality.is_worse_than_known(tolerance):
             optimality.residual = 1.0
+        optimality.passes = optimality.residual <= tolerance
         return optimality
 
     def is_worse_than_known(self, tolerance: float) -> bool:
@@ -88,7 +89,7 @@ class Optimality:
         enclosures, problem = self.enclosures, self.enclosures.problem
         known = [problem.nearest_to_zero]
         if _may_be_rounding(problem, self.cost, self.misfit[1], tolerance):
-            known.append(enclosures.unbounded_solution)
+            known.append(clip(enclosures.shortest, problem.lower, problem.upper))
         return any(exceeds(self.cost, enclosures.cost_above(x), tolerance) for x in known)
 
     @derived_property
@@ -131,10 +132,7 @@ def exceeds(cost: Array, known: Any, tolerance: float) -> Any:
 
 
 def measure_stack(
-    problem: BoundedLeastSquares,
-    x: Vector,
-    tolerance: float,
-    newton_step: Callable[[Vector], Vector],
+    problem: BoundedLeastSquares, x: Vector, tolerance: float, newton_step: Callable[..., Vector]
 ) -> tuple[Vector, BoolVector]:
     """Return the relative gap of each point of a stack, and whether it proves that the point is SOLVED.
 
@@ -226,11 +224,8 @@ def falls(problem: BoundedLeastSquares, x: Vector, slope: Ball) -> Vector:
     near, far = x - problem.lower, problem.upper - x
     linear, least = _fall(s - radius, near) + _fall(-s - radius, far), np.abs(s)
     if l1.any():  # x and z split at 0
-        both = np.zeros(x.shape)
-        for sign, low, high in (
-            (1.0, problem.lower, problem.upper),
-            (-1.0, -problem.upper, -problem.lower),
-        ):
+        both, negative = np.zeros(x.shape), (-problem.upper, -problem.lower)
+        for sign, low, high in ((1.0, problem.lower, problem.upper), (-1.0, *negative)):
             slant, at = s * sign + l1, np.maximum(sign * x, 0.0)
             both += _fall(slant - radius, at - np.maximum(low, 0.0))
             both += _fall(-slant - radius, high - at)  # at is 0 if high < 0
@@ -303,8 +298,7 @@ def _push_by_products(
     scaled, (m, n) = problem.scaled, problem.shape
 
     def back(pull: Vector) -> Vector:
-        if enforced_seconds_left() < 0.0:
-            raise OutOfTimeError
+        require_seconds(0.0)
         full = np.zeros(n)
         full[columns] = pull
         return np.asarray(scaled.product(full))

@@ -88,23 +88,19 @@ class BoundedLeastSquares(Problem):
         m, n = self.shape = self.A.shape
         need = f"b must be a vector of length {m}, an entry per row of A"
         if getattr(b, "ndim", 1) == 2:
-            need += (
-                " (for many right-hand sides: solve_batch(BoundedLeastSquares(A, b[:, 0]), b.T))"
-            )
+            batch = "solve_batch(BoundedLeastSquares(A, b[:, 0]), b.T)"
+            need += f" (for many right-hand sides: {batch})"
         self.b = checks.checked_vector(b, "b", m, need=need)
         self.lower, self.upper = checks.checked_bounds(lower, upper, n)
-        self.weights = None if weights is None else checks.checked_vector(weights, "weights", m)
-        if self.weights is not None and self.weights.min(initial=0.0) < 0.0:
-            i = int(np.argmax(self.weights < 0.0))
-            raise InvalidProblem(
-                f"weights must be ≥ 0, but weights[{i}] = {self.weights[i]}; 0 leaves a row out"
-            )
+        self.weights = None
+        if weights is not None:
+            self.weights = _nonnegative(checks.checked_vector(weights, "weights", m), "weights")
         if not checks.is_number(ridge) or not 0.0 <= ridge < np.inf:
             raise InvalidOption(f"ridge must be a finite number ≥ 0, got {ridge!r}")
         self.ridge = float(ridge)
         self._check_range("A", self.A.data if self.is_sparse else self.A, "A and b")
         self._check_range("b", self.b, "A and b")
-        self.l1 = _checked_penalty(l1, n)
+        self.l1 = _nonnegative(checks.checked_bound(l1, "l1", n), "l1")
 
     def __repr__(self) -> str:
         kind = "dense" if self.is_dense else "sparse"
@@ -157,13 +153,14 @@ class BoundedLeastSquares(Problem):
         """
         m, n = self.shape
         b = self.b if b is None else checks.checked_vector(b, "b", m)
+        l1 = self.l1 if l1 is None else _nonnegative(checks.checked_bound(l1, "l1", n), "l1")
         self._check_range("b", b, "b, lower and upper")
         bounds = self.lower, self.upper
         if lower is not None or upper is not None:
             bounds = checks.checked_bounds(
                 self.lower if lower is None else lower, self.upper if upper is None else upper, n
             )
-        return self.stack(b, *bounds, self.l1 if l1 is None else _checked_penalty(l1, n))
+        return self.stack(b, *bounds, l1)
 
     def stack(self, b: Vector, lower: Vector, upper: Vector, l1: Vector) -> BoundedLeastSquares:
         """Return the problem with other, checked vectors; an axis in front, shapes (B, m) and (B, n), makes a stack."""
@@ -370,15 +367,14 @@ class ScaledLeastSquares:
         return sp.csr_array(sp.vstack([A, sp.diags_array(root)])), b
 
 
-def _checked_penalty(l1: ArrayLike, n: int) -> Vector:
-    penalty = checks.checked_bound(l1, "l1", n)
-    is_one = (penalty >= 0.0) & (penalty < np.inf)
-    if not is_one.all():
-        j = int(np.argmin(is_one))
-        raise InvalidProblem(
-            f"l1 must be finite and ≥ 0, but l1[{j}] = {penalty[j]}; 0 leaves a column out"
-        )
-    return penalty
+def _nonnegative(vector: Vector, name: str) -> Vector:
+    """Return the vector; raise InvalidProblem unless its entries are finite and ≥ 0."""
+    is_right = (vector >= 0.0) & (vector < np.inf)
+    if not is_right.all():
+        i, what = int(np.argmin(is_right)), "column" if name == "l1" else "row"
+        fault = f"{name}[{i}] = {vector[i]}; 0 leaves a {what} out"
+        raise InvalidProblem(f"{name} must be finite and ≥ 0, but {fault}")
+    return vector
 
 
 def _checked(A: AnyMatrix) -> Any:
@@ -420,12 +416,8 @@ class Enclosures:
         return self.problem.cost(x, np.abs(value) + radius)
 
     @cached_property
-    def unbounded_solution(self) -> Vector:
-        """Shortest solution without bounds and l1, projected onto the bounds."""
-        return clip(self._shortest, self.problem.lower, self.problem.upper)
-
-    @cached_property
-    def _shortest(self) -> Vector:
+    def shortest(self) -> Vector:
+        """Shortest solution without bounds and l1, shape (n,)."""
         scaled = self.problem.scaled
         return scaled.to_caller(shortest_solution(*scaled.rows(is_dense=True)))
 
@@ -451,7 +443,7 @@ class Enclosures:
         if x.ndim == 1 and (radius > most).any():
             value = compensated_product(sp.csr_array(self.problem.A), x, -self.problem.b)[0]
             if self.problem.is_small:  # nearly dependent columns have such solutions
-                most = np.maximum(most, 4.0 * self.residual(self._shortest)[1])
+                most = np.maximum(most, 4.0 * self.residual(self.shortest)[1])
         return value, np.minimum(radius, most)
 
     def gradient(self, x: Vector, residual: Ball) -> Ball:
@@ -476,9 +468,7 @@ class Enclosures:
         sizes, terms = problem.sizes.T, problem.terms[1]
         return self._product(problem.A.T, sizes, weighted, radius, 0.0, terms)
 
-    def _product(
-        self, B: Any, sizes: Any, v: Vector, radius: Vector, less: Any, terms: int
-    ) -> Ball:
+    def _product(self, B: Any, sizes: Any, v: Vector, radius: Any, less: Any, terms: int) -> Ball:
         """Return B v − less for a v known up to radius, with |B| = sizes and so many terms in a row of B."""
         unsure = OUTWARD * times(sizes, radius) if radius.size else 0.0
         size = times(sizes, np.abs(v)) + np.abs(less) + unsure
@@ -505,8 +495,3 @@ def shortest_solution(A: Vector, b: Vector) -> Vector:
 def times(B: AnyMatrix, v: Vector) -> Vector:
     """Return B v, for each row of v if v has two axes."""
     return B @ v if v.ndim == 1 else v @ B.T
-
-
-def clip(x: Vector, lower: Vector, upper: Vector) -> Vector:
-    """Return mid(lower, upper, x), sooner than numpy does for short vectors."""
-    return np.minimum(np.maximum(x, lower), upper)

@@ -34,15 +34,17 @@ import scipy.sparse as sp
 
 from ...core.checks import AnyMatrix, Array, BoolVector, Vector
 from ...core.deadline import seconds_left
+from ...core.entries import clip
 from ...core.kernels.floats import DATA_ROUNDING, EPSILON
 from ...core.tuning import DENSE_OPERATIONS, SPARSE_OPERATIONS
 from ...engines import engine_class, is_installed
 from ...engines.engine import EnginePoint, ProgramData, SolverLimits
 from ...engines.polish import polish_steps
 from ...systems.minimum_degree import factor_sizes
-from .data import BoundedLeastSquares, ScaledLeastSquares, clip, shortest_solution
+from .data import BoundedLeastSquares, ScaledLeastSquares, shortest_solution
 
 SLOPE_ROUNDING = 4.0 * EPSILON  # of the largest gradient there could be
+NamedPoints = Iterator[tuple[str, Vector]]  # each with the name of its solver
 
 
 class FacePoint:
@@ -64,9 +66,7 @@ class FacePoint:
         `slope` plus the gradient of the penalty l1 in the problem's orthant.
     """
 
-    def __init__(
-        self, problem: ScaledLeastSquares, x: Vector, residual: Vector | None = None
-    ) -> None:
+    def __init__(self, problem: ScaledLeastSquares, x: Vector, residual: Array = None) -> None:
         self.problem, self.x = problem, x
         self.residual = problem.product(x) - problem.b if residual is None else residual
         self.slope = problem.apply_transpose(self.residual) + problem.ridge * x
@@ -255,8 +255,8 @@ def is_within_reach(problem: ScaledLeastSquares) -> bool:
     return bool(factor_sizes(both, 1e8, most)[0] < np.inf)  # entries of a factorization
 
 
-def engine_points(problem: ScaledLeastSquares) -> Iterator[tuple[str, Vector]]:
-    """Yield points x within the bounds by the solvers that suit the problem, with the name of the solver."""
+def engine_points(problem: ScaledLeastSquares) -> NamedPoints:
+    """Yield points x within the bounds by the solvers that suit the problem."""
     is_dense = problem.problem.is_dense or problem.problem.is_small
     if is_dense and problem.ridge.all() and problem.has_no_corner:
         yield RIDGE, ridge_solution(problem)
@@ -271,10 +271,8 @@ def engine_points(problem: ScaledLeastSquares) -> Iterator[tuple[str, Vector]]:
             yield name, minimize_on_face(point, A, b).x
 
 
-def _dense_solutions(
-    problem: ScaledLeastSquares, A: Vector, b: Vector
-) -> Iterator[tuple[str, Vector]]:
-    """Yield solutions x, the cheapest first, with the name of the solver."""
+def _dense_solutions(problem: ScaledLeastSquares, A: Vector, b: Vector) -> NamedPoints:
+    """Yield solutions x, the cheapest first."""
     if problem.has_no_corner:
         yield "lstsq", shortest_solution(A, b)
     if is_for_nnls(problem.problem):
@@ -327,9 +325,8 @@ def nnls_point(problem: BoundedLeastSquares) -> Vector:
     if problem.weights is not None or problem.ridge > 0.0:
         scaled = problem.scaled
         return scaled.to_caller(_solve_by_nnls(scaled, *scaled.rows(is_dense=True)))
-    return _solve_by_nnls(
-        problem, problem.A.toarray() if problem.is_sparse else problem.A, problem.b
-    )
+    A = problem.A.toarray() if problem.is_sparse else problem.A
+    return _solve_by_nnls(problem, A, problem.b)
 
 
 def _solve_by_nnls(problem: Any, A: Vector, b: Vector) -> Vector:
@@ -367,13 +364,9 @@ class Split(NamedTuple):
         lower = np.where(is_filled, problem.lower, problem.nearest_to_zero)
         upper = np.where(is_filled, problem.upper, problem.nearest_to_zero)
         # Relative to b and columns of size 1: x is 0
-        return cls(
-            E,
-            np.minimum(np.append(problem.linear, problem.l1[kink]), 1e6),
-            np.append(np.where(problem.has_kink, 0.0, lower), np.zeros(kink.size)),
-            np.append(upper, -lower[kink]),
-            kink,
-        )
+        slopes = np.minimum(np.append(problem.linear, problem.l1[kink]), 1e6)
+        of_z = np.append(np.where(problem.has_kink, 0.0, lower), np.zeros(kink.size))
+        return cls(E, slopes, of_z, np.append(upper, -lower[kink]), kink)
 
     def join_parts(self, z: Vector) -> Vector:
         """Return x."""

@@ -15,9 +15,9 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from ...core.algorithm import Step
-from ...core.checks import BoolVector, Vector, checked_vector, derived_property, read_only
+from ...core.checks import Array, BoolVector, Vector, checked_vector, derived_property, read_only
 from ...core.deadline import Clock, OutOfTimeError, is_over, seconds_left
-from ...core.entries import max_norm
+from ...core.entries import clip, max_norm
 from ...core.kernels.floats import FREE, HIGH, LOW
 from ...core.settings import DEFAULT, Settings, Status
 from ...engines import has_piqp
@@ -26,7 +26,7 @@ from ...solving.result import BaseResult, Callback, StageRecord
 from ...solving.run import CUT_SHORT, FAILED, Named, Progress, Run, Stage, say
 from . import engines
 from .certificate import Optimality, exceeds, measure_stack, onto_bounds, worst_columns
-from .data import BoundedLeastSquares, Enclosures, clip, times
+from .data import BoundedLeastSquares, Enclosures, times
 
 NNLS = "nnls", "one bound per column"  # a stage and its reason
 START = "start"  # instead of a method, if the start is optimal
@@ -114,13 +114,11 @@ def first_point(
         return None
     enclosures, x = Enclosures(problem), engines.nnls_point(problem)
     optimality = Optimality.of(enclosures, x, tolerance=tolerance)
-    optimality.passes = optimality.residual <= tolerance
     if optimality.passes and start is not None:
         least = problem.cost(x, problem.A @ x - problem.b)
         # A start that costs clearly more does not pass
         if problem.cost(start, problem.A @ start - problem.b) <= (1.0 + 4.0 * tolerance) * least:
             at_start = Optimality.of(enclosures, start, tolerance=tolerance)
-            at_start.passes = at_start.residual <= tolerance
             return at_start if at_start.passes else optimality
     return optimality
 
@@ -136,8 +134,8 @@ class LeastSquaresRun(Run):
         self,
         problem: BoundedLeastSquares,
         progress: Progress,
-        start: Vector | None,
-        first: Optimality | None = None,
+        start: Array,
+        first: Optimality | None,
     ) -> None:
         super().__init__(progress)
         self.problem, self.start, self.first = problem, start, first
@@ -176,21 +174,17 @@ class LeastSquaresRun(Run):
             self.aim = 0.05 * step.residual
         return self.certify(self.problem.scaled.to_caller(step.z))
 
-    def certify(self, x: Vector, tolerance: float | None = None) -> Optimality:
+    def certify(self, x: Vector, tolerance: float = 0.0) -> Optimality:
         """Return the certified point of an x within the bounds; dual points are tried until one meets the tolerance."""
         goal = self.settings.tolerance
-        tolerance = goal if tolerance is None else tolerance
-        optimality = Optimality.of(self.enclosures, x, tolerance=tolerance)
+        optimality = Optimality.of(self.enclosures, x, tolerance=max(goal, tolerance))
         optimality.passes = optimality.residual <= goal
         return optimality
 
     def keep(self, optimality: Optimality) -> None:
         """Keep a point that passes, or whose gap, then cost, is less than the best point has."""
-        if (
-            optimality.passes
-            or self.best is None
-            or (optimality.residual, optimality.cost) < (self.best.residual, self.best.cost)
-        ):
+        size, best = (optimality.residual, optimality.cost), self.best
+        if optimality.passes or best is None or size < (best.residual, best.cost):
             self.best = optimality
 
     def end_of_stage(self, stage: Stage, end: Status) -> Status:
@@ -215,7 +209,7 @@ class LeastSquaresRun(Run):
         is_short = end in (Status.MAX_SECONDS, Status.INTERRUPTED)
         if self.best is None or (not self.best.passes and end in CUT_SHORT):
             x = self.problem.scaled.to_caller(self.nearest)
-            self.keep(self.certify(x, math.inf if is_short else None))
+            self.keep(self.certify(x, math.inf if is_short else 0.0))
         common = self.common_fields(self.status(end))
         common["stages"] = tuple(stage for stage in common["stages"] if stage.iterations)
         name = ", ".join(dict.fromkeys(stage.name for stage in common["stages"])) or START
@@ -379,9 +373,8 @@ class LeastSquaresResult(BaseResult):
 
     def describe_accuracy(self) -> str:
         """Return the optimality and the tolerance, as text."""
-        return (
-            f"optimality {self.optimality:.1e}, tolerance {self.tolerance:g}; cost {self.cost:.9g}"
-        )
+        accuracy = f"optimality {self.optimality:.1e}, tolerance {self.tolerance:g}"
+        return f"{accuracy}; cost {self.cost:.9g}"
 
 
 @np.errstate(all="ignore")

@@ -11,6 +11,7 @@ from dataclasses import dataclass
 from typing import Any, NamedTuple
 
 import numpy as np
+import scipy.sparse as sp
 from numpy.typing import NDArray
 
 from ...core.checks import Arrays, Vector, fill, read_only
@@ -116,9 +117,7 @@ class Grid:
     def dense(self, values: Vector) -> NDArray[np.float64]:
         """Return the dense matrix with these values on the pattern of the grid's matrix."""
         indptr, indices, _ = self.matrix.arrays
-        dense = np.zeros((self.n, self.n))
-        dense[np.repeat(np.arange(self.n), np.diff(indptr)), indices] = values
-        return dense
+        return sp.csr_array((values, indices, indptr), shape=(self.n, self.n)).toarray()
 
 
 @dataclass(frozen=True, eq=False)
@@ -164,12 +163,9 @@ def blocks_of(matrix: Arrays, rows: int, *, may_cut: bool) -> RowBlocks:
     indptr, indices, _ = matrix
     count, reach = 0, 0
     if may_cut and rows >= 4 * SMALLEST_BLOCK:  # two blocks of either color
-        row, first, last = (
-            np.arange(rows),
-            indices[indptr[:rows]],
-            indices[indptr[1 : rows + 1] - 1],
-        )
-        reach = int(max((row - first).max(), (last - row).max()))
+        row, begins = np.arange(rows), indptr[: rows + 1]
+        before, after = row - indices[begins[:-1]], indices[begins[1:] - 1] - row
+        reach = int(max(before.max(), after.max()))
         # A block has four times as many rows as a row reaches far: little is done twice at the seams.
         count = min(16, rows // max(SMALLEST_BLOCK, 4 * reach)) // 2 * 2
     if count < 4:

@@ -166,6 +166,7 @@ def _update_rows(matrix, flags, prolongation, restriction, coarse, space, first,
 
 # CSR arrays and the positions of the diagonal
 Matrix = tuple[NDArray[Any], NDArray[Any], NDArray[Any], Vector]
+Vectors = tuple[Vector, ...]
 NO_BOUNDS = (read_only(np.zeros(0)),) * 2
 
 
@@ -192,20 +193,15 @@ def _product_of(rows: Matrix, begins: Any, further: int, *operands: Any) -> Any:
 
 
 def free_rows(
-    rows: Matrix,
-    vectors: tuple[Vector, ...],
-    z: Vector,
-    is_free: BoolVector,
-    is_changed: BoolVector,
-    residual: Vector,
+    rows: Matrix, vectors: Vectors, z: Vector, flags: tuple[BoolVector, ...], residual: Vector
 ) -> tuple[float, int]:
-    """Find the free rows of z: rows strictly between their bounds, or pushed off the bound by w.
+    """Find the free rows of z: rows strictly between their bounds, or pushed off the bound by w, and their changes.
 
     Writes −w on the free rows and 0 elsewhere into `residual`; returns the largest scaled
     residual of the problem, and how many rows changed.
     """
     matrix = rows[0], *rows[2:]
-    piece = partial(_free_rows, matrix, vectors, z, is_free, is_changed, residual)
+    piece = partial(_free_rows, matrix, vectors, z, *flags, residual)
     largest, changed = zip(*shared(piece, residual.size), strict=True)
     return float(np.max(largest)), int(sum(changed))  # a NaN kept
 
@@ -218,7 +214,7 @@ def shared(work: Callable[[int, int], Any], rows: int) -> list[Any]:
 def sweep(
     rows: Matrix,
     blocks: RowBlocks,
-    vectors: tuple[Vector, ...],
+    vectors: Vectors,
     x: Vector,
     *,
     backward: bool = False,
@@ -311,9 +307,8 @@ def _products(  # type: ignore[no-untyped-def]
     """Product ← sign · M x + weight · b on the free rows, 0 elsewhere; row i begins at begins[i] + further."""
     one, further = uintp(1), uintp(further)
     for i in range(uintp(first), uintp(end)):
-        total = _plus_products(
-            0.0, uintp(begins[i]) + further, uintp(indptr[i + one]), indices, data, x
-        )
+        begin, end_of_row = uintp(begins[i]) + further, uintp(indptr[i + one])
+        total = _plus_products(0.0, begin, end_of_row, indices, data, x)
         product[i] = sign * total + weight * b[i] if inverse[i] != 0.0 else 0.0
 
 
@@ -368,11 +363,7 @@ def restrict(transfer: Transfer, fine: Vector, coarse: Vector) -> None:
 
 
 def prolong(
-    transfer: Transfer,
-    coarse: Vector,
-    flags: BoolVector,
-    z: Vector,
-    bounds: tuple[Vector, Vector] = NO_BOUNDS,
+    transfer: Transfer, coarse: Vector, flags: BoolVector, z: Vector, bounds: Vectors = NO_BOUNDS
 ) -> None:
     """Overwrite z by mid(lower, upper, z + P coarse) in flagged rows."""
     operands = *transfer.prolongation.arrays, read_only(coarse), True, flags, *bounds, z

@@ -136,12 +136,7 @@ def strength_of(positive_share: float) -> float:
 
 
 def interpolation_of(
-    rows: Arrays,
-    n: int,
-    strength: float,
-    *,
-    second_pass: bool,
-    spread: Callable[[Any], Any] = lambda choice: choice,
+    rows: Arrays, n: int, strength: float, *, second_pass: bool, spread: Any = np.asarray
 ) -> tuple[NDArray[np.bool_], sp.csr_array, int]:
     """Return the mask of the coarse unknowns, P, and the number of fine unknowns without a coarse neighbor.
 

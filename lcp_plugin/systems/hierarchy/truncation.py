@@ -81,8 +81,7 @@ class TruncatedGrid:
         self.inverse[:] = self.grid.inverse
         if self.new_values is not None:
             self.new_values[:] = self.grid.matrix.data
-        self.free_changed[:] = False
-        self.row_changed[:] = False
+        self.free_changed[:] = self.row_changed[:] = False
         return float(self.values.size)
 
     @property

@@ -149,19 +149,10 @@ def _first_repeated(names: Sequence[str]) -> str | None:
 
 
 def shared_labels(axes: Iterable[str], data: Mapping[str, Any]) -> dict[str, list[str]]:
-    """Return the labels of DataFrames and Series of pandas as text, of each axis the first ones that are not numbers.
+    """Return the labels of pandas objects by axis, the first ones that are not numbers, as text.
 
-    Parameters
-    ----------
-    axes : iterable of str
-        Names of arguments, each with a letter for each of its axes, as ``["M zz", "q z"]``.
-    data : mapping
-        The arguments.
-
-    Raises
-    ------
-    InvalidProblem
-        If axes with one letter have the same labels in another order.
+    `axes` has a letter for each axis of an argument in `data`, as ``["M zz", "q z"]``. InvalidProblem is raised if axes
+    with one letter have the same labels in another order.
     """
     found: dict[str, dict[str, list[str]]] = {}
     names: dict[str, list[str]] = {}

@@ -41,7 +41,9 @@ axis becomes a batch axis; in PyTorch ``backward()``, ``torch.func.grad`` and ``
 exists for small problems within ``jit``, and in numpy as :meth:`BatchDerivative.jvp`.
 
 **Quadratic programs.** ``qp_layer(P, c, G, h, A, b)`` returns x of min ½ xᵀP x + cᵀx, G x ≤ h, A x = b, with the
-gradients of :class:`~lcp_plugin.problems.programs.derivative.ProgramDerivative`; arguments as in qpth and OptNet.
+gradients of :class:`~lcp_plugin.problems.programs.derivative.ProgramDerivative`; arguments as in qpth and OptNet. If
+x or its multipliers are not unique on the piece of the gradient, the gradient raises UnsuitableProblem, which names the
+rows.
 
 **Contact with friction.** ``contact_layer(W, b, friction)`` returns the impulses of a batch, with the gradients of
 :class:`~lcp_plugin.problems.sensitivity.ContactBatchDerivative`.
@@ -92,7 +94,7 @@ class Layer(ABC):
 
     def __init__(self, *, mask: bool = False, **options: Any) -> None:
         self.mask, self.options = mask, options
-        others = "algorithm", "callback", *self.of_problem
+        others = "z0", "algorithm", "callback", *self.of_problem
         checked_overrides({name: options[name] for name in options if name not in others})
 
     of_problem: ClassVar[tuple[str, ...]] = ()  # options of the problem

@@ -141,11 +141,6 @@ def qp_layer(
     UnsuitableProblem
         If a derivative does not exist.
 
-    Notes
-    -----
-    If a row is active with multiplier 0, the gradient belongs to one of the pieces that meet there, as for a ReLU at
-    0. If x or its multipliers are not unique on that piece, `backward` raises UnsuitableProblem, which names the rows.
-
     Examples
     --------
     >>> jax.config.update("jax_enable_x64", True)
@@ -184,10 +179,6 @@ def contact_layer(W: Any, b: Any, friction: Any, *, mask: bool = False, **option
         If JAX does not calculate in double precision.
     InvalidProblem, NotConverged
         For the reasons that `lcp_layer` names.
-
-    Notes
-    -----
-    Derivatives go backwards: ``jax.grad``, ``jax.vjp``, ``jax.jacrev``, under ``jit`` and ``vmap`` as well.
 
     Examples
     --------

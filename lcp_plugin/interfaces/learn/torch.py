@@ -53,10 +53,6 @@ def lcp_layer(
     UnsuitableProblem, UnsupportedModel
         If a derivative does not exist, or if a second derivative or another transformation is requested.
 
-    Notes
-    -----
-    Gradients go backward: ``backward()``, ``torch.func.grad`` and ``torch.func.vjp``.
-
     Examples
     --------
     >>> M = torch.tensor([[2.0, 1.0], [1.0, 2.0]], dtype=torch.float64)
@@ -111,11 +107,6 @@ def qp_layer(
     UnsuitableProblem, UnsupportedModel
         If a derivative does not exist, or a second derivative is requested.
 
-    Notes
-    -----
-    If a row is active with multiplier 0, the gradient belongs to one of the pieces that meet there, as for a ReLU at
-    0. If x or its multipliers are not unique on that piece, `backward` raises UnsuitableProblem, which names the rows.
-
     Examples
     --------
     >>> P = torch.eye(2, dtype=torch.float64)
@@ -161,11 +152,6 @@ def contact_layer(
         If a tensor has another type, device or shape, or its numbers are not a valid problem.
     NotConverged
         If an instance is not solved, without `mask`; the message names it.
-
-    Notes
-    -----
-    Gradients go backward, once. If contacts are degenerate, the gradient is not unique: see
-    ``help(lcp_plugin.derivative)``.
 
     Examples
     --------

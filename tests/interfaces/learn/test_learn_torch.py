@@ -221,7 +221,8 @@ def test_mask_replaces_the_error_of_a_failed_instance():
     assert q.grad.tolist() == [[-1.0, 0.0], [0.0, 0.0], [-1.0, -1.0]]
     assert M.grad.tolist() == [[-4.0, -4.0], [-3.0, -4.0]]  # −λ zᵀ of the first and the third
     W, b = np.stack([np.eye(3), -np.eye(3)]), leaves([[-1.0, 3.0, 4.0]] * 2)[0]
-    r, is_solved = contact_layer(torch.tensor(W), b, torch.tensor([0.5]).double(), mask=True)
+    start, mu = torch.zeros(2, 3).double(), torch.tensor([0.5]).double()
+    r, is_solved = contact_layer(torch.tensor(W), b, mu, z0=start, mask=True)
     r.sum().backward()
     assert is_solved.tolist() == [True, False]
     assert r[1].tolist() == b.grad[1].tolist() == [0.0, 0.0, 0.0]

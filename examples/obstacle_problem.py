@@ -29,7 +29,7 @@ SIZE = 120  # nodes along each side, the edge not counted
 def main(out: Path = Path()) -> None:
     """Solve the obstacle problem, compare with the closed form, and save a figure into the folder OUT."""
     nodes = np.linspace(-2, 2, SIZE + 2)
-    r = np.hypot(*np.meshgrid(nodes, nodes, indexing="ij"))
+    r = np.hypot(*np.meshgrid(nodes, nodes))
     ball = np.where(r < 0.9, np.sqrt(1 - np.minimum(r, 0.9) ** 2), -1.0)
     contact_radius = brentq(lambda radius: radius**2 * (1 - np.log(radius / 2)) - 1, 0.1, 0.9)
     strength = contact_radius**2 / np.sqrt(1 - contact_radius**2)

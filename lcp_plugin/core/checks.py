@@ -122,7 +122,7 @@ def checked_matrix(M: AnyMatrix) -> tuple[Any, int]:
         check_kind(M.dtype, "M must hold real numbers")
     matrix = M if is_sparse else real_array(M, "M must hold real numbers")
     if len(matrix.shape) != 2 or matrix.shape[0] != matrix.shape[1]:
-        hint = "" if len(matrix.shape) == 2 else "; the matrix comes first: LCP(M, q)"
+        hint = "" if len(matrix.shape) == 2 else "; the matrix comes first, then q"
         raise InvalidProblem(f"M must be a square matrix (n×n), got shape {matrix.shape}{hint}")
     if is_sparse:
         compressed = canonical_csr(matrix, "M")

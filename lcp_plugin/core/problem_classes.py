@@ -115,12 +115,11 @@ def refusal(function: str, argument: object) -> str:
     step = ""
     if function == "derivative":
         needs = f"the result of {needs}"
-        results = [*argument] if isinstance(argument, Sequence) else [argument]
+        results = None if isinstance(argument, str) else argument
         if class_of(argument) in classes_of(function):
             step = "; write derivative(solve(problem))"
-        elif argument is not results[0] and all(
-            hasattr(result, "status") or isinstance(result, Sequence)
-            for result in results  # a march is a sequence
+        elif isinstance(results, Sequence) and all(  # a march is a sequence
+            hasattr(result, "status") or isinstance(result, Sequence) for result in results
         ):
             step = "; write [derivative(result) for result in results]"
     elif function == "solve":

@@ -364,7 +364,7 @@ def _draw_cones(axes: Any, answer: Any, frame: Frame | Scene) -> None:
         axes.plot([[-1.0, 1.0]] * 2, [[0.0] * 2, [len(shares) - 1.0] * 2], color="#7A7A7A")
     else:
         axes.plot(np.cos(angle), np.sin(angle), color="#7A7A7A", linewidth=1.0)
-        axes.set_aspect("equal")
+        axes.set(aspect="equal", ylim=(-1.1, 1.45))  # the legend is above the circle
     slides = motion.touches & ~motion.sticks
     states = ((motion.sticks, "o", "stick", FREE), (slides, "^", "slide", ACTIVE))
     for chosen, marker, word, color in states:

@@ -52,8 +52,8 @@ VALUES = {
     "residual": "relative residual",
 }
 ERROR_LABELS = {
-    TRUE_ERROR: "true error ‖z − z*‖∞",
-    BOUND: "proved bound of the error ‖z − z*‖∞",
+    TRUE_ERROR: "true error ‖z\xa0−\xa0z*‖∞",
+    BOUND: "proved bound of the error ‖z\xa0−\xa0z*‖∞",
     RESIDUAL: "relative residual",
 }
 # statuses after which a polish may be made

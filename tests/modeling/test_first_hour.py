@@ -142,6 +142,12 @@ MESSAGES: dict[str, tuple[Any, str]] = {
         lambda: prepare(QuadraticProgram(np.eye(2), [1, 1])).solve(q=[1, 2]),
         "step.solve takes no q; the linear term is called c",
     ),
+    "a batch without friction": (
+        lambda: FrictionalContact.worlds(np.eye(3), [[1.0, 0.0, 0.0]]),
+        r"write FrictionalContact\.worlds\(W, b, friction",
+    ),
+    "a text in place of a result": (lambda: derivative("text"), "got str$"),
+    "no problem": (lambda: certify(None, [1.0]), "got NoneType$"),
     "a limit of a step": (
         lambda: prepare(LCP([[1.0]], [1.0])).solve(max_seconds=1),
         "options of a run belong to prepare",

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from copy import copy
+from functools import partial
 from operator import attrgetter
 from os import PathLike
 from typing import Any
@@ -65,7 +66,7 @@ class FrictionalContactBatch:
     ([[1.0, -0.3, -0.4], [1.0, -0.3, 0.0]], [False, True])
     """
 
-    @public
+    @partial(public, name="FrictionalContact.worlds")
     def __init__(
         self,
         W: AnyMatrix,

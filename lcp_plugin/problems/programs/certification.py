@@ -218,12 +218,10 @@ def _certify_other(
         return certify_point(problem, checked_vector(x, "x", problem.n), tolerance)
     if name is not None or isinstance(problem, (BaseResult, QPSolution)):
         raise InvalidProblem(refusal("certify", problem))
-    if x is not None or multipliers is not None or claim is not None:
-        raise InvalidOption(
-            "x, multipliers and claim go with a QuadraticProgram; a cvxpy problem has its own"
-        )
     if (certify_model := foreign_function("certify", problem)) is None:
         raise InvalidProblem(refusal("certify", problem))
+    if x is not None or multipliers is not None or claim is not None:
+        raise InvalidOption("a model has values: leave out x, multipliers and claim")
     verdict: Certification = certify_model(problem, tolerance, pairs)
     return verdict
 

@@ -455,7 +455,7 @@ certify(unsolved(integer=True)) → UnsupportedModel: is integer
 certify(unsolved([lambda x: cp.sqrt(x) <= 1])) → UnsupportedModel: convex
 certify(unsolved([lambda x: complements(x >= 0, x >= 1)])) → UnsupportedModel: with complementarity requires the best
 certify(cp.Problem(cp.Minimize(3))) → UnsupportedModel: no variables
-certify(SIMPLE) → InvalidProblem: needs the x
+certify(SIMPLE) → InvalidProblem: needs an x
 certify(SIMPLE, [1.0]) → InvalidProblem: length 2, got shape \(1,\)
 certify(SIMPLE, [1.0, np.nan]) → InvalidProblem: x\[1\] = nan
 certify(SIMPLE, [0.5, 1.5], [1.0]) → InvalidProblem: must be a pair
@@ -465,7 +465,7 @@ certify(SIMPLE, claim='optimum') → InvalidOption: did you mean 'optimal'
 certify(SIMPLE, [0.5, 1.5], tolerance=0.0) → InvalidOption: tolerance must be a number > 0
 certify(SIMPLE, [0.5, 1.5], tolerance=5) → InvalidOption: must be less than 1, got 5
 certify(SIMPLE, [0.5, 1.5], max_seconds=-1) → InvalidOption: max_seconds must be
-certify(unsolved(), [1.0, 2.0]) → InvalidOption: a cvxpy problem has its own
+certify(unsolved(), [1.0, 2.0]) → InvalidOption: a model has values
 certify([[1.0]]) → InvalidProblem: got list
 certify(CURVED) → InvalidOption: needs a point of the NonlinearProblem
 certify(CURVED, [1.0], claim='optimal') → InvalidOption: go with a QuadraticProgram

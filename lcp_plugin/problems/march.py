@@ -977,10 +977,8 @@ class MarchDerivative:
 
         Raises
         ------
-        InvalidProblem
-            For another shape, or numbers that are not finite.
-        UnsuitableProblem
-            See the Derivative of a step.
+        InvalidProblem, UnsuitableProblem
+            As the Derivative of a step.
 
         Examples
         --------
@@ -1030,10 +1028,8 @@ class MarchDerivative:
 
         Raises
         ------
-        InvalidProblem
-            For another shape, or numbers that are not finite.
-        UnsuitableProblem
-            If the block of M on the free rows of a step is singular.
+        InvalidProblem, UnsuitableProblem
+            As the Derivative of a step.
 
         Examples
         --------

@@ -198,7 +198,9 @@ class ManyDerivatives:
     Attributes
     ----------
     errors : dict
-        Error of each item without a derivative.
+        Error of each item without a derivative: UnsuitableProblem if it is not solved, InvalidProblem if its data are
+        invalid, and those that calls of `vjp` and `jvp` raise. Rows of these items are NaN, and do not affect other
+        items. The arguments of calls are checked as by :class:`~lcp_plugin.problems.sensitivity.Derivative`.
     """
 
     names: tuple[str, ...]  # of the data other than M
@@ -329,11 +331,6 @@ class ManyDerivatives:
         -------
         BatchGradient
 
-        Raises
-        ------
-        InvalidProblem
-            For another shape, or numbers that are not finite.
-
         Examples
         --------
         >>> from lcp_plugin import derivative, solve_batch
@@ -387,14 +384,6 @@ class BatchDerivative(ManyDerivatives):
     ----------
     batch : BatchAnswers
 
-    Attributes
-    ----------
-    errors : dict
-        Error of each problem without a derivative: UnsuitableProblem if it is not solved, InvalidProblem if its data
-        are invalid. Calls of `vjp` and `jvp` add the errors raised by
-        :class:`~lcp_plugin.problems.sensitivity.Derivative`. The rows of these problems are NaN and do not affect
-        other problems.
-
     Notes
     -----
     Small problems are solved as one stack. A problem is passed to its Derivative, which takes a hundred times as long,
@@ -426,11 +415,6 @@ class BatchDerivative(ManyDerivatives):
         Returns
         -------
         array, shape (B, n)
-
-        Raises
-        ------
-        InvalidProblem
-            For another shape, or numbers that are not finite.
 
         Examples
         --------
@@ -566,12 +550,6 @@ class ContactBatchDerivative(ManyDerivatives):
     ----------
     batch : BatchAnswers
 
-    Attributes
-    ----------
-    errors : dict
-        Error of each instance without a derivative: UnsuitableProblem if it is not solved, InvalidProblem if its data
-        are invalid. The rows of these instances are NaN and do not affect other instances.
-
     Notes
     -----
     The first call inverts the systems of all instances, with the number of threads of the batch. Every later `vjp` and
@@ -633,11 +611,6 @@ class ContactBatchDerivative(ManyDerivatives):
         dM : array, shape (B, n, n) or (n, n), optional
             dW.
         dfriction : number or array, shape (B, k) or (k,), optional
-
-        Raises
-        ------
-        InvalidProblem
-            For another shape, or numbers that are not finite.
         """
         return self._jvp(dM, dq, dfriction=dfriction)
 

@@ -108,19 +108,11 @@ def solve_batch(
     >>> program = QuadraticProgram(np.eye(2), [0, 0], A=[[1, 1]], b=[2])
     >>> solve_batch(program, [{"b": [2]}, {"b": [4]}]).x.tolist()
     [[1.0, 1.0], [2.0, 2.0]]
-
     >>> solve_batch(program, [[0, 2], [2, 0]]).x.tolist()
     [[2.0, 0.0], [0.0, 2.0]]
     >>> fit = BoundedLeastSquares([[1, 0], [1, 1], [0, 1]], [0, 0, 0])
     >>> solve_batch(fit, [[2, 1, -1], [1, 3, 2]]).x.round(6).tolist()
     [[1.5, 0.0], [1.0, 2.0]]
-
-    The points of x₁ + x₂ ≤ 2 nearest to (1, 2) and to (0, 1):
-
-    >>> nearest = QuadraticProgram(np.eye(2), [0, 0], G=[[1, 1]], h=[2])
-    >>> answers = solve_batch(nearest, [[-1, -2], [0, -1]])
-    >>> (answers.x.round(6) + 0.0).tolist(), answers.inequality.round(6).tolist(), answers[0].status.name
-    ([[0.5, 1.5], [0.0, 1.0]], [[0.5], [0.0]], 'SOLVED')
     """
     if isinstance(M, PreparedProblem):
         M = M.problem

@@ -97,12 +97,7 @@ def is_killed(mutant: Mutant, tree: Path, rng: random.Random) -> bool:
     }
     command = [
         sys.executable,
-        "-m",
-        "pytest",
-        "-x",
-        "-q",
-        "-p",
-        "no:cacheprovider",
+        *["-m", "pytest", "-x", "-q", "-p", "no:cacheprovider"],
         *order[:MAX_TESTS],
     ]
     try:

@@ -17,7 +17,7 @@ from typing import Any
 
 ROOT = Path(__file__).resolve().parents[1]
 STORE = ROOT / ".coverage"
-COMMAND = (
+COMMAND = [
     "-m",
     "pytest",
     "-q",
@@ -26,7 +26,7 @@ COMMAND = (
     "--cov=lcp_plugin",
     "--cov-context=test",
     "--cov-report=",
-)
+]
 
 
 @cache

@@ -47,17 +47,20 @@ def assembled(stiffness: Any, freedom: Any) -> Any:
     return sp.coo_array((np.tile(stiffness.ravel(), len(freedom)), at)).tocsr()
 
 
+def squares(nx: int, ny: int) -> tuple[Any, Any]:
+    """The numbers of the nodes of a plate of nx × ny squares, and the degrees of freedom of each square."""
+    node = np.arange((nx + 1) * (ny + 1)).reshape(nx + 1, ny + 1)
+    corners = np.stack([node[:-1, :-1], node[1:, :-1], node[1:, 1:], node[:-1, 1:]], axis=-1)
+    return node, (2 * corners.reshape(-1, 4)[:, :, None] + [0, 1]).reshape(-1, 8)
+
+
 def on_a_floor(
     nx: int, ny: int, length: float, pressure: float, gap: float, unit: str, spring: float = 0.0
 ) -> Application:
     """Steel pressed (in Pa) on a floor gap · x² below (in m), held by u_x = 0 on the left, or by springs."""
     metre = {"m": 1.0, "mm": 1e3}[unit]
     young, pressure, h = 210e9 / metre**2, pressure / metre**2, length * metre / nx
-    node = np.arange((nx + 1) * (ny + 1)).reshape(nx + 1, ny + 1)
-    corners = np.stack(
-        [node[:-1, :-1], node[1:, :-1], node[1:, 1:], node[:-1, 1:]], axis=-1
-    ).reshape(-1, 4)
-    freedom = (2 * corners[:, :, None] + [0, 1]).reshape(-1, 8)
+    node, freedom = squares(nx, ny)
     K = assembled(square_stiffness(young, 0.3), freedom)
     q, lower = np.zeros(2 * node.size), np.full(2 * node.size, -np.inf)
     q[2 * node[:, -1] + 1] = pressure * h * np.where(np.isin(np.arange(nx + 1), [0, nx]), 0.5, 1.0)

@@ -518,15 +518,7 @@ def judged(family: str, program: QuadraticProgram, value: float) -> tuple[list[s
 
 def afresh(program: QuadraticProgram) -> QuadraticProgram:
     """Return the program with empty caches."""
-    made = QuadraticProgram(
-        program.P,
-        program.c,
-        program.G,
-        program.h,
-        program.A,
-        program.b,
-        program.lower,
-        program.upper,
-    )
+    names = ("P", "c", "G", "h", "A", "b", "lower", "upper")
+    made = QuadraticProgram(**{name: getattr(program, name) for name in names})
     made.__dict__["ranges"] = program.ranges
     return made

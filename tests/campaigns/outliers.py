@@ -422,11 +422,8 @@ def odd_program(rng: Generator, *, linear: bool, is_small: bool = False) -> tupl
             c[i] *= scale
             lower[i], upper[i] = lower[i] / scale, upper[i] / scale
             if P is not None:
-                P = (
-                    P
-                    * np.where(np.arange(n) == i, scale, 1)
-                    * np.where(np.arange(n) == i, scale, 1)[:, None]
-                )
+                units = np.where(np.arange(n) == i, scale, 1)
+                P = P * units * units[:, None]
         elif word == "zeros":
             c = c * (rng.random(n) < 0.3)
             if len(h):
@@ -454,16 +451,8 @@ def without_far(data: list[Any]) -> list[Any]:
     """Return the program without right-hand sides and bounds beyond 1e9."""
     P, c, G, h, A, b, lower, upper = data
     keep = abs(h) < 1e9
-    return [
-        P,
-        c,
-        G[keep],
-        h[keep],
-        A,
-        b,
-        np.where(lower < -1e9, -np.inf, lower),
-        np.where(upper > 1e9, np.inf, upper),
-    ]
+    lower, upper = np.where(lower < -1e9, -np.inf, lower), np.where(upper > 1e9, np.inf, upper)
+    return [P, c, G[keep], h[keep], A, b, lower, upper]
 
 
 def by_clarabel(data: list[Any]) -> tuple[str, np.ndarray]:

@@ -82,15 +82,20 @@ def band_march_points(case: Case) -> Points:
     return march_points(LCP(M.tocsr(), q, lower=lower), case)
 
 
+def by_three_ways(problem: ConeProblem | FrictionalContact, wrong: np.ndarray) -> Points:
+    """Yield the points of solve, a batch and a march from the wrong point and from none."""
+    for z0 in (wrong, None):
+        starts = None if z0 is None else [z0, z0]
+        batch = solve_batch([problem, problem], z0=starts)
+        steps = march(problem, [problem.q], propagator=0.0, z0=z0)
+        yield from ((one.z, one.is_solved) for one in (solve(problem, z0=z0), *batch, *steps))
+
+
 def cone_points(case: Case) -> Points:
     """Yield the points over the cone of the bounds, dense and sparse, of solve, a batch and a march."""
     for M in (case.M, sp.csr_array(case.M)):
         problem = ConeProblem(M, case.q, [("box", case.lower, np.inf)])
-        for z0 in (case.wrong, None):
-            starts = None if z0 is None else [z0, z0]
-            batch = solve_batch([problem, problem], z0=starts)
-            steps = march(problem, [problem.q], propagator=0.0, z0=z0)
-            yield from ((one.z, one.is_solved) for one in (solve(problem, z0=z0), *batch, *steps))
+        yield from by_three_ways(problem, case.wrong)
 
 
 def contact_points(case: Case) -> Points:
@@ -100,12 +105,8 @@ def contact_points(case: Case) -> Points:
     n = case.q.size
     W, b, wrong = np.eye(2 * n), np.zeros(2 * n), np.zeros(2 * n)
     W[::2, ::2], b[::2], wrong[::2] = case.M, case.q, case.wrong
-    problem = FrictionalContact(W, b, 0.5, dimension=2)
-    for z0 in (wrong, None):
-        starts = None if z0 is None else [z0, z0]
-        batch = solve_batch([problem, problem], z0=starts)
-        steps = march(problem, [problem.q], propagator=0.0, z0=z0)
-        yield from ((one.z[::2], one.is_solved) for one in (solve(problem, z0=z0), *batch, *steps))
+    points = by_three_ways(FrictionalContact(W, b, 0.5, dimension=2), wrong)
+    yield from ((z[::2], is_solved) for z, is_solved in points)
 
 
 def nonlinear_points(shape: str, case: Case) -> Points:

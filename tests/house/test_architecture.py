@@ -229,27 +229,18 @@ def test_the_picture_and_its_table_have_every_room_once():
     )
 
 
-def test_import_loads_nothing_heavy():
-    """``import lcp_plugin`` and building, certifying and pickling a problem load no heavy package."""
-    code = (
-        "import sys, lcp_plugin\n"
-        f"heavy = {HEAVY!r}\n"
-        "assert not [m for m in heavy if m in sys.modules], 'import'\n"
-        "p = lcp_plugin.LCP([[2, 1], [1, 2]], [-1, 1]); lcp_plugin.Certificate.of(p, [0.5, 0])\n"
-        "print([m for m in heavy if m in sys.modules])"
-    )
-    from tools.processes import printed_by  # pytest adds the folder of tests to the path
-
-    assert printed_by(code) == "[]"
-
-
-def test_a_solve_loads_no_package_it_does_not_use():
-    """``solve`` of a small problem loads none of the heavy packages."""
-    code = (
-        "import sys\nfrom lcp_plugin import LCP, solve\n"
-        "solve(LCP([[2, 1], [1, 2]], [-1, 1])).require_solved()\n"
-        f"print([m for m in {HEAVY!r} if m in sys.modules])"
-    )
+@pytest.mark.parametrize(
+    "use",
+    [
+        "p = lcp_plugin.LCP([[2, 1], [1, 2]], [-1, 1]); lcp_plugin.Certificate.of(p, [0.5, 0])",
+        "lcp_plugin.solve(lcp_plugin.LCP([[2, 1], [1, 2]], [-1, 1])).require_solved()",
+    ],
+    ids=["certificate", "solve"],
+)
+def test_import_and_use_load_nothing_heavy(use):
+    """``import lcp_plugin``, and to certify or solve a small problem, loads none of the heavy packages."""
+    loaded = f"[m for m in {HEAVY!r} if m in sys.modules]"
+    code = f"import sys, lcp_plugin\nassert not {loaded}\n{use}\nprint({loaded})"
     from tools.processes import printed_by  # pytest adds the folder of tests to the path
 
     assert printed_by(code) == "[]"

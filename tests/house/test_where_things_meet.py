@@ -63,34 +63,24 @@ from lcp_plugin.solving.result import BaseResult
 CLOSE = 1e-5
 ON_CONES = ("ConeProblem", "FrictionalContact")
 FUNCTIONS = (
-    "solve",
-    "solve_batch",
-    "prepare",
-    "march",
-    "trace",
-    "derivative",
-    "certify",
-    "Certificate.of",
-    "error_bound",
-    "analyze",
-    "all_solutions",
-    "convergence_guarantee",
-    "cross_validate",
-    "error_against_time",
-    "study",
+    *(
+        "solve",
+        "solve_batch",
+        "prepare",
+        "march",
+        "trace",
+        "derivative",
+        "certify",
+        "Certificate.of",
+    ),
+    *("error_bound", "analyze", "all_solutions", "convergence_guarantee", "cross_validate"),
+    *("error_against_time", "study"),
 )
 LANGUAGES = ("cvxpy", "Pyomo", "AMPL", "qpsolvers")
 COMMANDS = tuple(f"lcp-plugin {name}" for name in ("solve", "analyze", "compare"))
 WAYS = (*FUNCTIONS, "save", "pickle", *LANGUAGES, *COMMANDS)
 OVER_CONES = (
-    "solve",
-    "solve_batch",
-    "march",
-    "derivative",
-    "certify",
-    "save",
-    "pickle",
-    "cvxpy",
+    *("solve", "solve_batch", "march", "derivative", "certify", "save", "pickle", "cvxpy"),
     "lcp-plugin solve",
 )
 # The problem classes, in the order of README's table, and the interfaces that accept each.

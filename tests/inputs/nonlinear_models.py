@@ -13,30 +13,18 @@ from lcp_plugin import NonlinearProblem
 Function = Callable[[np.ndarray], np.ndarray]
 
 
-def kojima_shindo(x: np.ndarray) -> np.ndarray:
+def kojima_shindo(x: np.ndarray, c_of_b: float = 10, d_of_c: float = 9, q: float = 9) -> np.ndarray:
     """M. Kojima, S. Shindo, J. Oper. Res. Soc. Japan 29 (1986) 352–374; solutions (√6/2, 0, 0, 1/2), (1, 0, 3, 0)."""
     a, b, c, d = x
-    return np.array(
-        [
-            3 * a * a + 2 * a * b + 2 * b * b + c + 3 * d - 6,
-            2 * a * a + a + b * b + 10 * c + 2 * d - 2,
-            3 * a * a + a * b + 2 * b * b + 2 * c + 9 * d - 9,
-            a * a + 3 * b * b + 2 * c + 3 * d - 3,
-        ]
-    )
+    first = 3 * a * a + 2 * a * b + 2 * b * b + c + 3 * d - 6
+    second = 2 * a * a + a + b * b + c_of_b * c + 2 * d - 2
+    third = 3 * a * a + a * b + 2 * b * b + 2 * c + d_of_c * d - q
+    return np.array([first, second, third, a * a + 3 * b * b + 2 * c + 3 * d - 3])
 
 
 def josephy(x: np.ndarray) -> np.ndarray:
     """N. H. Josephy, MRC report 1965, Wisconsin 1979: Kojima and Shindo's but for three numbers; (√6/2, 0, 0, 1/2)."""
-    a, b, c, d = x
-    return np.array(
-        [
-            3 * a * a + 2 * a * b + 2 * b * b + c + 3 * d - 6,
-            2 * a * a + a + b * b + 3 * c + 2 * d - 2,
-            3 * a * a + a * b + 2 * b * b + 2 * c + 3 * d - 1,
-            a * a + 3 * b * b + 2 * c + 3 * d - 3,
-        ]
-    )
+    return kojima_shindo(x, 3, 3, 1)
 
 
 def mathiesen(x: np.ndarray) -> np.ndarray:

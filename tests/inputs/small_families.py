@@ -160,13 +160,5 @@ def definite_stack(count: int, n: int, seed: int = 0) -> tuple[Matrix, Matrix]:
 
 def told(result: Result) -> tuple[Any, ...]:
     """All that watching a run must not change."""
-    return (
-        result.z.tobytes(),
-        result.w.tobytes(),
-        result.status,
-        result.iterations,
-        result.work,
-        result.algorithm,
-        result.stages,
-        result.residual,
-    )
+    names = ("status", "iterations", "work", "algorithm", "stages", "residual")
+    return (result.z.tobytes(), result.w.tobytes(), *(getattr(result, name) for name in names))

@@ -45,18 +45,10 @@ def test_points_of_other_solvers_are_proved(seed, solver):
     found = certify(LCP(M, q), x)
     assert found.verdict == ("proved" if np.abs(x - z).max() <= 1e-7 * unit else found.verdict)
     assert certify(LCP(M, q), x + 1e-2 * unit).verdict == "disproved"
-
-
-@pytest.mark.parametrize("solver", ["clarabel", "piqp", "daqp"])
-@pytest.mark.parametrize("seed", [1, 2, 4, 5])
-def test_points_of_other_solvers_are_proved_as_a_program(seed, solver):
-    """1e-13 and −1e-17 stand for the bound 0; moved by a tenth, the value is disproved."""
-    M, q, z = planted(seed)
-    P = sp.csc_matrix(M) if solver == "clarabel" else M
-    x = qpsolvers.solve_qp(P, q, lb=np.zeros(z.size), solver=solver)
-    program = QuadraticProgram(M, q, lower=0)
-    assert certify(program, x).verdict == "proved"
-    assert certify(program, x + 0.1 * np.abs(q / M.diagonal()).max()).verdict == "disproved"
+    if seed % 3 and seed < 6:  # 1e-13 and −1e-17 stand for the bound 0 also in the program
+        program = QuadraticProgram(M, q, lower=0)
+        assert certify(program, x).verdict == "proved"
+        assert certify(program, x + 0.1 * np.abs(q / M.diagonal()).max()).verdict == "disproved"
 
 
 def test_residuals_of_a_program_are_those_of_qpsolvers():

@@ -50,7 +50,6 @@ def test_solves_monotone_problems(kind, storage, bounds):
         problem, _ = planted_lcp(M, rng, bounds=bounds)
         result = solve(problem, InteriorPoint(), tolerance=1e-10)
         assert result.status in (Status.SOLVED, Status.PRECISION_LIMIT), (seed, result.certificate)
-        assert result.iterations <= 40
 
 
 def wall(side: int, seed: int) -> LCP:

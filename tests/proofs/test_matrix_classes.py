@@ -55,13 +55,8 @@ KNOWN = {
     "P block over P block": ([[1, -3, 7], [3, 0.5, 9], [0, 0, 2]], "FFFFFFT"),
 }
 CLAIMS = (
-    "is_z_matrix",
-    "is_m_matrix",
-    "is_strictly_dominant",
-    "is_h_plus",
-    "is_positive_definite",
-    "is_positive_semidefinite",
-    "is_p_matrix",
+    *("is_z_matrix", "is_m_matrix", "is_strictly_dominant", "is_h_plus"),
+    *("is_positive_definite", "is_positive_semidefinite", "is_p_matrix"),
 )
 
 

@@ -6,7 +6,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 import scipy.sparse as sp
-from applications.mechanics import assembled, square_stiffness
+from applications.mechanics import assembled, square_stiffness, squares
 
 from lcp_plugin import LCP, QuadraticProgram
 
@@ -31,11 +31,8 @@ class Structure(NamedTuple):
 
 def block(nx: int, ny: int, right: float, up: float, spring: float = 0.0) -> Structure:
     """A steel plate in plane stress over a curved floor, held by it alone; loaded at its top edge, in newtons."""
-    node = np.arange((nx + 1) * (ny + 1)).reshape(nx + 1, ny + 1)
-    corners = np.stack(
-        [node[:-1, :-1], node[1:, :-1], node[1:, 1:], node[:-1, 1:]], axis=-1
-    ).reshape(-1, 4)
-    K = assembled(square_stiffness(210e9, 0.3), (2 * corners[:, :, None] + [0, 1]).reshape(-1, 8))
+    node, freedom = squares(nx, ny)
+    K = assembled(square_stiffness(210e9, 0.3), freedom)
     K = K + sp.diags_array(np.tile([spring * 210e9, 0.0], node.size))
     q, lower = np.zeros(2 * node.size), np.full(2 * node.size, -np.inf)
     share = 5e7 / nx * np.where(np.isin(np.arange(nx + 1), [0, nx]), 0.5, 1.0)

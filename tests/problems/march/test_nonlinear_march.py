@@ -46,12 +46,11 @@ def test_a_march_without_active_bounds_converges_to_the_differential_equation():
         lambda t, u: -reacting(t)(u) / MASS.diagonal(),
         *((0.0, 1.0), np.zeros(N), "Radau"), rtol=1e-10, atol=1e-12,
     ).y[:, -1]  # fmt: skip
-    ends = [implicit_euler(k).require_solved().z[-1] for k in (40, 80, 160)]
+    ends = [implicit_euler(k).require_solved().z[-1] for k in (40, 80)]
     errors = [np.abs(end - exact).max() for end in ends]
     assert errors[0] < 0.05 * np.abs(exact).max()
     assert 1.9 < errors[0] / errors[1] < 2.1
-    assert 1.9 < errors[1] / errors[2] < 2.1
-    assert np.abs(2.0 * ends[2] - ends[1] - exact).max() < 0.02 * errors[2]
+    assert np.abs(2.0 * ends[1] - ends[0] - exact).max() < 0.04 * errors[1]
 
 
 def test_each_step_over_an_obstacle_solves_its_own_complementarity_problem():

@@ -244,17 +244,21 @@ def test_a_row_is_met_only_if_it_is_proved_to_be():
     assert 0 < value <= Fraction(float(program.constraints.excess(np.array(x))[0]))
 
 
+def assert_bounds_the_curvature(found: Any, P: np.ndarray, A: np.ndarray) -> None:
+    """P + ρ AᵀA − diag(weights) of one row A has no negative minor in fractions."""
+    rest, rows = exact.exact_rows(P), exact.exact_rows(A)
+    for i in range(len(P)):
+        for j in range(len(P)):
+            rest[i][j] += Fraction(found.penalty) * rows[0][i] * rows[0][j]
+        rest[i][i] -= Fraction(float(found.weights[i]))
+    assert all(minor >= 0 for minor in exact.principal_minors(rest))
+
+
 @pytest.mark.parametrize("row", [[1e-160, 2.8e-162], [5e-324, 0.0], [1e-200, 1e200]])
 def test_equations_of_tiny_numbers_give_no_curvature(row):
     """Underflowing squares are not weights: P + ρ AᵀA at rounding level proves no curvature."""
     A, P = np.array([row]), np.diag([1e-16, 0.0])
-    found = constrained_curvature(P, A)
-    rest, rows = exact.exact_rows(P), exact.exact_rows(A)
-    for i in range(2):
-        for j in range(2):
-            rest[i][j] += Fraction(found.penalty) * rows[0][i] * rows[0][j]
-        rest[i][i] -= Fraction(float(found.weights[i]))
-    assert all(minor >= 0 for minor in exact.principal_minors(rest))
+    assert_bounds_the_curvature(constrained_curvature(P, A), P, A)
 
 
 @pytest.mark.parametrize("seed", range(4))
@@ -271,14 +275,8 @@ def test_the_curvature_on_a_null_space_is_rounded_downwards(seed):
         P = half.T @ half
         P = 0.5 * (P + P.T)
         found = constrained_curvature(P, A)
-        if found.penalty == 0.0:
-            continue
-        rest, rows = exact.exact_rows(P), exact.exact_rows(A)
-        for i in range(n):
-            for j in range(n):
-                rest[i][j] += Fraction(found.penalty) * rows[0][i] * rows[0][j]
-            rest[i][i] -= Fraction(float(found.weights[i]))
-        assert all(minor >= 0 for minor in exact.principal_minors(rest))
+        if found.penalty:
+            assert_bounds_the_curvature(found, P, A)
 
 
 # --- Claims ------------------------------------------------------------------------------------------------------

@@ -255,7 +255,7 @@ class NonlinearProblem(Problem):
         self.lower, self.upper = checks.checked_bounds(*self._bounds, n)
         self.names = checked_names(self._user_names, n, n, are_pairs=True)
         self.q = np.zeros(n)
-        self._components: tuple[bytes, Any] = b"", None
+        self._components: list[tuple[bytes, Any]] = [(b"", None)]  # copies that count share it
 
     def with_size(self, n: int) -> NonlinearProblem:
         """Return the problem with n unknowns, or a copy with vectors for scalar bounds.
@@ -503,9 +503,9 @@ def components_of_pattern(problem: NonlinearProblem, M: AnyMatrix) -> Any:
         key = (M != 0.0).tobytes()
     else:
         key = M.indptr.tobytes() + M.indices.tobytes()
-    if key != problem._components[0]:
-        problem._components = key, connected_components(Matrix(M))
-    return problem._components[1]
+    if key != problem._components[0][0]:
+        problem._components[0] = key, connected_components(Matrix(M))
+    return problem._components[0][1]
 
 
 def _newton_step(M: AnyMatrix, w: Vector, at: IntVector) -> tuple[Factor | None, Vector]:
@@ -654,6 +654,7 @@ class Linearization:
         self._measured: Measured | None = None
         self._moves: BoolVector | None = None
         self.size: float | None = None  # in the units of a run
+        self.lcp_steps: dict[float, Vector | None] = {}  # of a small problem, by shift
 
     def at(self, x: Vector) -> Linearization:
         """Return the linearization at another point, with the same `origin`."""

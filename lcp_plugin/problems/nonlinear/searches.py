@@ -26,7 +26,7 @@ from ...core.settings import Settings
 from ...core.tuning import CHEAP_UP_TO
 from ...methods.newton import fischer_burmeister
 from .data import SMALLEST_TOLERANCE, Linearization, moves_on
-from .steps import Target, is_small, moved, row_scale, small_step, targets
+from .steps import Target, is_small, lcp_step, moved, row_scale, targets
 
 SEARCHES = {"monotone": 1, "nonmonotone": 4}  # points with whose worst merit a step is compared
 TRIALS = 12  # points on a line where F is defined
@@ -163,8 +163,8 @@ class JosephyNewton(Algorithm):
         """Return the first point with a small residual, and its number of steps; None if another step is due.
 
         A small dense problem with a good start needs only full Newton steps. These are the first steps of the monotone
-        search, bit for bit, without the bookkeeping of a run. If another step is due, a run begins again, and takes
-        the points from `passed`.
+        search, bit for bit, without the bookkeeping of a run. If another step is due, a run takes the points from
+        `passed`, with F, F′ and the targets of their steps.
 
         Parameters
         ----------
@@ -173,7 +173,7 @@ class JosephyNewton(Algorithm):
         """
         current, settings = self.first, self.settings
         is_suited = self.linear == "auto" and is_small(current) and current.x.size
-        if not is_suited or settings.absolute_tolerance:
+        if not is_suited:
             return None, 0
         problem, goal = current.problem, max(self.tolerance, SMALLEST_TOLERANCE)
         lower, upper, unit = problem.lower, problem.upper, current.scale
@@ -194,12 +194,13 @@ class JosephyNewton(Algorithm):
             passed.append(current)
             least = np.minimum(sizes, least)
             terms = np.abs(M) @ np.abs(x) + np.abs(current.q)
-            if np.maximum.reduce(residual) <= goal * np.maximum.reduce(terms / scale):
+            limit = max(goal * np.maximum.reduce(terms / scale), settings.absolute_tolerance)
+            if np.maximum.reduce(residual) <= limit:
                 return current, count
             is_flat = not np.logical_and.reduce(sizes > negligible) and self.is_flat()
             if is_flat or is_over() or count in (self.most_full_steps, settings.max_iterations):
                 break
-            if (change := small_step(M, w, -above, -below, scale)) is None:
+            if (change := lcp_step(current, "auto", goal)) is None:
                 break
             point = current.at(moved(current, change))
             self.passed[point.x.tobytes()] = self.tried = point

@@ -117,9 +117,12 @@ def lcp_step(
     The tolerance is tied to the relative residual at x. The unknown is d, because the residual at x is then the
     reference, and of several solutions a solution near x results.
     """
-    M, w, lower, upper = step_data(point, shift)
     if linear == "auto" and is_small(point):
-        return small_step(M, w, lower, upper, (1.0 + shift) * point.data.scale)
+        if shift not in point.lcp_steps:  # points of `JosephyNewton.full_steps` know some
+            M, w, lower, upper = step_data(point, shift)
+            step = small_step(M, w, lower, upper, (1.0 + shift) * point.scale)
+            point.lcp_steps[shift] = step
+        return point.lcp_steps[shift]
     problem = step_problem(point, shift)
     # A linearization needs no smaller residual than a tenth of the tolerance
     relative, enough = point.residual, FORCING

@@ -25,6 +25,7 @@ from lcp_plugin import (
     solve,
 )
 from lcp_plugin.problems.nonlinear.data import Linearization
+from lcp_plugin.problems.nonlinear.steps import small_step
 
 INF = np.inf
 ROOTS = {(round(np.sqrt(6) / 2, 6), 0.0, 0.0, 0.5), (1.0, 0.0, 3.0, 0.0)}
@@ -673,3 +674,28 @@ def test_a_right_jacobian_is_trusted_where_unknowns_are_small(unit):
         lower=np.zeros(1),
     )
     np.testing.assert_allclose(solve(problem).require_solved().z, unit)
+
+
+def test_an_absolute_tolerance_needs_no_run(monkeypatch):
+    """The first full steps of a small problem end where the call without it ends, or sooner."""
+    problem = NonlinearProblem(lambda x: np.exp(x) - 2.0, lower=np.zeros(4))
+    plain = solve(problem)
+    monkeypatch.setattr("lcp_plugin.problems.nonlinear.solving.NonlinearRun.follow_all", None)
+    fine, rough = (solve(problem, absolute_tolerance=size) for size in (1e-12, 1e-2))
+    assert fine.z.tobytes() == plain.z.tobytes()
+    assert rough.is_solved
+    assert rough.iterations < plain.iterations
+    assert np.abs(rough.z - np.log(2.0)).max() <= 1e-2
+
+
+def test_a_run_takes_the_first_full_steps(monkeypatch):
+    """An arctan = 0 from 3 takes shorter steps: no linear problem is solved twice."""
+    seen: list[bytes] = []
+    monkeypatch.setattr(
+        "lcp_plugin.problems.nonlinear.steps.small_step",
+        lambda M, w, *data: seen.append(M.tobytes() + w.tobytes()) or small_step(M, w, *data),
+    )
+    F = lambda x: np.arctan(x - np.array([0.0, 0.1]))  # noqa: E731
+    result = solve(NonlinearProblem(F), x0=np.array([3.0, 2.0]))
+    assert result.is_solved
+    assert len(seen) == len(set(seen)) > 2

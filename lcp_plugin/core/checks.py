@@ -248,7 +248,10 @@ def real_array(values: Any, need: str) -> NDArray[np.float64]:
         raise InvalidProblem(f"{need}, got None")
     try:
         array = np.asarray(values)
-    except RuntimeError as error:  # a tensor with a gradient
+    except (
+        RuntimeError,
+        TypeError,
+    ) as error:  # a tensor with a gradient, or without values on the host
         raise InvalidProblem(f"{need}: {error}") from error
     except ValueError as error:
         raise InvalidProblem(

@@ -3,23 +3,9 @@
 Install the extra ``[torch]`` or ``[jax]``. The layers run on the CPU; in JAX, within ``jit`` and ``vmap``, small LCPs
 and quadratic programs stay on their device (``solve_lcp``). The CPU build of PyTorch is sufficient.
 
-In PyTorch::
-
-    import torch
-    from lcp_plugin.interfaces.learn.torch import lcp_layer
-
-    M = torch.tensor([[2.0, 1.0], [1.0, 2.0]], dtype=torch.float64, requires_grad=True)
-    q = torch.tensor([[-5.0, 1.0], [1.0, -4.0]], dtype=torch.float64)
-    z = lcp_layer(M, q)                                    # shape (2, 2): a solution a row of q
-    z.sum().backward()                                     # M.grad is the sum over both
-
-and in JAX::
-
-    import jax, jax.numpy as jnp
-    jax.config.update("jax_enable_x64", True)
-    from lcp_plugin.interfaces.learn.jax import lcp_layer
-
-    jax.grad(lambda q: lcp_layer(M, q).sum())(q)           # also under jit and vmap
+In PyTorch, ``z = lcp_layer(M, q); z.sum().backward()`` with ``lcp_plugin.interfaces.learn.torch.lcp_layer``; in JAX,
+after ``jax.config.update("jax_enable_x64", True)``, ``jax.grad(lambda q: lcp_layer(M, q).sum())(q)`` with
+``lcp_plugin.interfaces.learn.jax.lcp_layer``.
 
 **Shapes.** The last axis of q and of the bounds is the axis of the unknowns. The last two axes of M are its rows and
 columns. Leading axes are batch axes, and broadcast as in numpy. One M of shape (n, n) for all costs one matrix. A

@@ -132,14 +132,8 @@ def qp_layer(
 
     Raises
     ------
-    InvalidOption
-        If JAX does not calculate in double precision.
-    InvalidProblem
-        If an array has another type or shape, or its numbers are not a valid program; the message names it.
-    NotConverged
-        If a program of the batch is not solved, without `mask`.
-    UnsuitableProblem
-        If a derivative does not exist.
+    InvalidOption, InvalidProblem, NotConverged, UnsuitableProblem
+        For the reasons that `lcp_layer` names.
 
     Examples
     --------
@@ -175,9 +169,7 @@ def contact_layer(W: Any, b: Any, friction: Any, *, mask: bool = False, **option
 
     Raises
     ------
-    InvalidOption
-        If JAX does not calculate in double precision.
-    InvalidProblem, NotConverged
+    InvalidOption, InvalidProblem, NotConverged
         For the reasons that `lcp_layer` names.
 
     Examples

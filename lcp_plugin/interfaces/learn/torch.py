@@ -100,12 +100,8 @@ def qp_layer(
 
     Raises
     ------
-    InvalidProblem
-        If a tensor has another type, device or shape, or its numbers are not a valid program; the message names it.
-    NotConverged
-        If a program of the batch is not solved, without `mask`.
-    UnsuitableProblem, UnsupportedModel
-        If a derivative does not exist, or a second derivative is requested.
+    InvalidProblem, NotConverged, UnsuitableProblem, UnsupportedModel
+        For the reasons that `lcp_layer` names.
 
     Examples
     --------
@@ -148,10 +144,8 @@ def contact_layer(
 
     Raises
     ------
-    InvalidProblem
-        If a tensor has another type, device or shape, or its numbers are not a valid problem.
-    NotConverged
-        If an instance is not solved, without `mask`; the message names it.
+    InvalidProblem, NotConverged
+        For the reasons that `lcp_layer` names.
 
     Examples
     --------

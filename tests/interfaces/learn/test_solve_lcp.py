@@ -250,6 +250,11 @@ def test_slacks_of_single_precision_arrays_are_double():
         (lambda M, q: solve_lcp(M, 1j * q), InvalidProblem, "got complex"),
         (lambda M, q: solve_batch(1j * M, q), InvalidProblem, "got complex"),
         (lambda M, q: solve_batch(M, 1j * q), InvalidProblem, "got complex"),
+        (
+            lambda M, q: jax.jit(partial(solve_batch, LCP(np.eye(2), np.ones(2))))(q),
+            InvalidProblem,
+            "q must have shape .* traced array",
+        ),
         (lambda M, q: solve_lcp(LCP(M, q), q), InvalidProblem, "M must be an array"),
         (lambda M, q: solve_lcp(csr_array(M), q), InvalidProblem, r"use \.toarray"),
         (lambda M, q: solve_lcp(M, q, "a"), InvalidProblem, "lower must be an array"),

@@ -689,13 +689,13 @@ def test_an_absolute_tolerance_needs_no_run(monkeypatch):
 
 
 def test_a_run_takes_the_first_full_steps(monkeypatch):
-    """An arctan = 0 from 3 takes shorter steps: no linear problem is solved twice."""
+    """An arctan = 0 from 10 takes shorter steps: no linear problem is solved twice."""
     seen: list[bytes] = []
     monkeypatch.setattr(
         "lcp_plugin.problems.nonlinear.steps.small_step",
         lambda M, w, *data: seen.append(M.tobytes() + w.tobytes()) or small_step(M, w, *data),
     )
     F = lambda x: np.arctan(x - np.array([0.0, 0.1]))  # noqa: E731
-    result = solve(NonlinearProblem(F), x0=np.array([3.0, 2.0]))
+    result = solve(NonlinearProblem(F), x0=np.array([10.0, 10.0]))
     assert result.is_solved
     assert len(seen) == len(set(seen)) > 2

@@ -141,8 +141,10 @@ def scene_builder(builder: Builder) -> Builder:
     name, summary = builder.__name__, _summary(builder)
 
     @functools.wraps(builder)
-    def checked(**values: Any) -> Scene:
+    def checked(*unnamed: Any, **values: Any) -> Scene:
         defaults = defaults_of(name)
+        if unnamed:
+            raise InvalidOption(f"{name} takes parameters by name: {', '.join(defaults)}")
         for key, value in values.items():
             if key not in defaults:
                 hint = did_you_mean(key, defaults) if defaults else "; it takes none"

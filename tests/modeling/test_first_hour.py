@@ -22,6 +22,7 @@ from lcp_plugin import (
     certify,
     complements,
     derivative,
+    gallery,
     optimal,
     prepare,
     solve,
@@ -147,6 +148,7 @@ MESSAGES: dict[str, tuple[Any, str]] = {
         r"write FrictionalContact\.worlds\(W, b, friction",
     ),
     "a text in place of a result": (lambda: derivative("text"), "got str$"),
+    "a size by position": (lambda: gallery.obstacle_2d(30), "by name: size, shifted$"),
     "no problem": (lambda: certify(None, [1.0]), "got NoneType$"),
     "a limit of a step": (
         lambda: prepare(LCP([[1.0]], [1.0])).solve(max_seconds=1),

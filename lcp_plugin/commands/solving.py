@@ -282,7 +282,7 @@ def compile_everything() -> str:
     steps.vjp(np.ones(sparse.n))
     steps.jvp(dz0=np.ones(sparse.n))
     contact = FrictionalContact(2.0 * np.eye(6), [[-1.0, 3.0, 4.0], [-1.0, 0.1, 0.2]], 0.5)
-    for name in METHODS:
+    for name in ("auto", *METHODS):
         lcp_plugin.derivative(solve(contact, name)).vjp(np.ones(6))
     batch_derivative = lcp_plugin.derivative(lcp_plugin.solve_batch([dense]))
     batch_derivative.vjp(np.ones((1, 9)))

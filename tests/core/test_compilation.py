@@ -14,8 +14,8 @@ from tools.processes import lcp_plugin
 COUNT_COMPILED = """
 import sys
 import numpy as np
-from lcp_plugin import LCP, QuadraticProgram, derivative, error_bound, march, solve, solve_batch
-from lcp_plugin import gallery
+from lcp_plugin import FrictionalContact, LCP, QuadraticProgram, gallery
+from lcp_plugin import derivative, error_bound, march, solve, solve_batch
 from numba.core.dispatcher import Dispatcher
 
 game = LCP.from_game([[2, 0], [0, 1]], [[1, 0], [0, 2]])
@@ -28,6 +28,7 @@ for name in ("obstacle_2d:size=30", "half_active:n=25", "game"):
 found = derivative(solve_batch([[[2.0, 1.0], [1.0, 2.0]]], [-5.0, 1.0]))
 found.vjp([[1.0, 1.0]]), found.jvp(dq=[1.0, 0.0])
 solve_batch([QuadraticProgram([[2.0, 1.0], [1.0, 2.0]], [-5.0, 1.0], lower=0.0)])
+solve(FrictionalContact(np.eye(3), [-1.0, 3.0, 4.0], 0.5))
 march(LCP(2.0 * np.eye(40) - np.eye(40, k=1) - np.eye(40, k=-1), np.ones(40)), np.zeros((2, 40)))
 kernels = [
     kernel for name, module in list(sys.modules.items()) if name.startswith("lcp_plugin")

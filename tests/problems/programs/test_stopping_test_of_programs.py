@@ -566,7 +566,7 @@ def test_no_number_is_no_answer(value):
 
 
 def test_plain_sums_pass_nothing_that_exact_ones_refuse(draws):
-    """Plain sums with a bound of their rounding bound the measures of dense and sparse programs."""
+    """Plain sums with a bound of their rounding bound the measures, also of −x with the bounds on the other side."""
     rng, passed = np.random.default_rng(5), 0
     for _ in draws(2000, 32):
         n, m = int(rng.integers(1, 6)), int(rng.integers(0, 5))
@@ -582,6 +582,10 @@ def test_plain_sums_pass_nothing_that_exact_ones_refuse(draws):
                 plain, exact = (
                     PrimalDualPoint(program.judged, x, y, is_exact=one) for one in (False, True)
                 )
+                turned = QuadraticProgram(kind(P), -c, kind(-C), C @ x, upper=-lower).judged
+                mirrored = PrimalDualPoint(turned, -x, y, is_exact=False)
+                assert np.array_equal(mirrored.gaps(), plain.gaps())
+                assert np.array_equal(mirrored.row_errors(), plain.row_errors())
                 passes = (plain.gaps() <= 1e-6).all()
                 assert not passes or (exact.gaps() <= 1e-6).all()
                 passed += bool(passes)

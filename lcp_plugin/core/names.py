@@ -154,23 +154,24 @@ def shared_labels(axes: Iterable[str], data: Mapping[str, Any]) -> dict[str, lis
     `axes` has a letter for each axis of an argument in `data`, as ``["M zz", "q z"]``. InvalidProblem is raised if axes
     with one letter have the same labels in another order.
     """
-    found: dict[str, dict[str, list[str]]] = {}
+    found: dict[str, dict[str, Any]] = {}
     names: dict[str, list[str]] = {}
     for name, letters in map(str.split, axes if "pandas" in sys.modules else ()):
         indices = data[name].axes if hasattr(data[name], "iloc") else ()
         for letter, index in zip(letters, indices, strict=False):
-            labels = [*map(str, index)]
             for first, known in found.setdefault(letter, {}).items():
-                if labels != known and sorted(labels) == sorted(known):
-                    k = next(k for k, label in enumerate(known) if label != labels[k])
+                same = index.equals(known)
+                was, now = ([] if same else [*map(str, part)] for part in (known, index))
+                if was != now and sorted(was) == sorted(now):
+                    k = next(k for k, label in enumerate(was) if label != now[k])
                     raise InvalidProblem(
                         f"the labels of {first} and {name if name != first else 'its columns'} must be in one order, "
-                        f"but label {k} is {known[k]!r} and {labels[k]!r}; write {name}.reindex(…), or "
+                        f"but label {k} is {was[k]!r} and {now[k]!r}; write {name}.reindex(…), or "
                         f"{name}.to_numpy() if its order is right"
                     )
-            found[letter].setdefault(name, labels)
-            if index.dtype.kind not in "iuf" and _first_repeated(labels) is None:
-                names.setdefault(letter, labels)
+            found[letter].setdefault(name, index)
+            if index.dtype.kind not in "iuf" and index.is_unique:
+                names.setdefault(letter, [*map(str, index)])
     return names
 
 

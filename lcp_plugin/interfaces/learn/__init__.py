@@ -80,8 +80,9 @@ class Layer(ABC):
 
     def __init__(self, *, mask: bool = False, **options: Any) -> None:
         self.mask, self.options = mask, options
-        others = "z0", "algorithm", "callback", *self.of_problem
-        checked_overrides({name: options[name] for name in options if name not in others})
+        others = {"z0", "algorithm", "callback", *self.of_problem}
+        fixed = {name for name in options.keys() - others if not hasattr(options[name], "aval")}
+        checked_overrides({name: options[name] for name in fixed})  # JAX may trace a tolerance
 
     of_problem: ClassVar[tuple[str, ...]] = ()  # options of the problem
     matrices_at: ClassVar[tuple[int, ...]] = (0,)  # places of the matrices among the arrays

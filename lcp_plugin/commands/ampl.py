@@ -124,11 +124,9 @@ def _solve(words: list[str], environment: str) -> int:
         raise InvalidOption(f"no stub is given; call {NAME} stub -AMPL, where stub.nl is the model")
     is_ampl = bool(arguments) and arguments[0] == "-AMPL"
     settings = assigned(environment) | assigned(" ".join(arguments[is_ampl:]))
-    levels = {
-        name: whole_number(settings.pop(name, 0), name, 0, f", {KEYWORDS[name]}") for name in LEVELS
-    }
-    settings |= {"verbose": True} if levels["outlev"] else {}
-    settings |= {"prove": True} if levels["prove"] else {}
+    levels = {k: whole_number(settings.pop(k, 0), k, 0, f", {KEYWORDS[k]}") for k in LEVELS}
+    switches = {"verbose": levels["outlev"], "prove": levels["prove"]}
+    settings |= {name: True for name, level in switches.items() if level}
     if levels["version"]:
         print(_information(["-v"]))
     Settings(**{key: settings[key] for key in settings.keys() - {"algorithm", "prove"}})

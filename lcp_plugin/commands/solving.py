@@ -129,10 +129,8 @@ def run(
         content = json_content(answer)
         if objective is not None:
             content["objective"] = objective
-        finite = {
-            name: None if isinstance(value, float) and not np.isfinite(value) else value
-            for name, value in content.items()
-        }
+        missing = (k for k, v in content.items() if isinstance(v, float) and not np.isfinite(v))
+        finite = content | dict.fromkeys(missing)
         typer.echo(json.dumps(finite, indent=2, allow_nan=False))
     else:
         heading = source.test_problem or f"{target}:"

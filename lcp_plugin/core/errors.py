@@ -7,6 +7,7 @@ import warnings
 from collections.abc import Callable, Collection, Iterable
 from difflib import get_close_matches
 from functools import wraps
+from importlib import import_module
 from typing import Any, TypeVar
 
 Function = TypeVar("Function", bound=Callable[..., Any])
@@ -116,6 +117,19 @@ def did_you_mean(
     if not close:
         return f"; {'; '.join(hints)}"
     return f"; did you mean {written[close[0]]}? ({'; '.join(hints)})"
+
+
+def imported(
+    package: str, needs: str, extra: str, error_class: type[Exception] = ImportError
+) -> Any:
+    """Return an optional package; if it is missing, raise an error with the command that installs it."""
+    try:
+        return import_module(package)
+    except ImportError as error:
+        advice = (
+            f"install it with: pip install {package.partition('.')[0]} (or lcp_plugin[{extra}])"
+        )
+        raise error_class(f"{needs}; {advice}") from error
 
 
 def warn(remark: str, category: type[Warning] = ModelWarning) -> None:

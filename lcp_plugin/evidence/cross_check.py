@@ -29,7 +29,7 @@ from typing import Any, Literal
 import numpy as np
 
 from ..core.checks import Vector
-from ..core.entries import scale_by
+from ..core.entries import max_norm, scale_by
 from ..core.errors import InvalidOption, did_you_mean
 from ..core.kernels.floats import EPSILON
 from ..core.lcp import LCP
@@ -49,10 +49,7 @@ PLAIN, GAP = "quadratic program", "gap quadratic program"
 ACCURATE_TOLERANCE = 1e-7  # of our criterion, for a point to be compared
 POLISH_ROUNDS = 3  # rounds of a polish for the points of first-order methods
 CLARABEL_OPTIONS = dict.fromkeys(("tol_gap_abs", "tol_gap_rel", "tol_feas"), 1e-11)
-TIME_LIMITS = {
-    **dict.fromkeys(("CLARABEL", "HIGHS", "OSQP"), "time_limit"),
-    "SCS": "time_limit_secs",
-}
+LIMITS = dict.fromkeys(("CLARABEL", "HIGHS", "OSQP"), "time_limit") | {"SCS": "time_limit_secs"}
 
 
 @dataclass(frozen=True, eq=False)
@@ -104,11 +101,8 @@ class CrossCheck:
 
     def explain(self) -> str:
         """Return the verdict with its reason, and a line for each number."""
-        lines = [
-            f"{self.verdict}: {self.reason}",
-            f"{'formulation':<18} {self.formulation}",
-            _side("ours", self.ours, self.seconds),
-        ]
+        lines = [f"{self.verdict}: {self.reason}", f"{'formulation':<18} {self.formulation}"]
+        lines += [_side("ours", self.ours, self.seconds)]
         if self.theirs is not None:
             lines += [
                 _side(self.reference, self.theirs, self.reference_seconds),
@@ -214,17 +208,9 @@ def cross_validate(
     if not measure(enough).passes:
         return check("not comparable", f"our solution is not accurate, {status}: {residuals}")
     if not facts["disagreement"] <= facts["allowance"]:
-        return check(
-            "mismatch",
-            f"the residuals explain {facts['allowance']:.1e} of a disagreement of {facts['disagreement']:.1e}: one of "
-            "them is wrong, or the two sides solved different problems",
-        )
+        share = f"{facts['allowance']:.1e} of a disagreement of {facts['disagreement']:.1e}"
+        return check("mismatch", f"the residuals explain {share}: one is wrong, or the problem")
     return check("agree", "the residuals and the conditioning of M explain every difference")
-
-
-def largest(values: Vector) -> float:
-    """Return the largest absolute value, 0 if there is none."""
-    return float(np.max(np.abs(values), initial=0.0))
 
 
 def _side(name: str, side: Certificate, seconds: float) -> str:
@@ -284,7 +270,7 @@ class ConvexForm:
             what = "a diagonal entry is negative"
             what = what if is_negative else f"a pivot is negative at shift {shift:.1e}"
             return cls("", f"{matrix} indefinite: {what}", lcp, root)
-        unit = largest(np.append(c, root * lcp.nearest_to_zero)) or 1.0
+        unit = max_norm(np.append(c, root * lcp.nearest_to_zero)) or 1.0
         lower, upper = (root * bound / unit for bound in (lcp.lower, lcp.upper))
         problem = LCP(A, c / unit, lower=lower, upper=upper)
         kind = PLAIN if place is None else GAP
@@ -310,7 +296,7 @@ class ConvexForm:
             rows = [scaled.M @ y + scaled.q == a - b]
         # Without assume_PSD cvxpy makes the matrix dense to check it.
         curved = cp.quad_form(y, symmetric_part(scaled.csr), assume_PSD=True)
-        limit = {TIME_LIMITS[name]: max_seconds} if name in TIME_LIMITS else {}
+        limit = {LIMITS[name]: max_seconds} if name in LIMITS else {}
         program = cp.Problem(cp.Minimize(share * curved + cost), rows)
         try:
             program.solve(solver=name, **limit | options)
@@ -331,8 +317,8 @@ class ConvexForm:
         if self.kind == PLAIN:  # a difference of squares, without cancellation
             gap = float(0.5 * (ours.z - theirs.z) @ (ours.w + theirs.w))
         return {
-            "difference_z": largest(ours.z - theirs.z),
-            "difference_w": largest(ours.w - theirs.w),
+            "difference_z": max_norm(ours.z - theirs.z),
+            "difference_w": max_norm(ours.w - theirs.w),
             "objective_gap": gap,
             "disagreement": max(float(step @ rise), 0.0) / (sizes or 1.0),
             "allowance": sum(map(self._residual, ys, ws)),

@@ -12,17 +12,17 @@ from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from itertools import pairwise
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, NamedTuple
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 from ..core.checks import Array, Vector
 from ..core.entries import largest_in_rows, row_numbers
-from ..core.errors import InvalidOption, LCPError, UnsuitableProblem
+from ..core.errors import InvalidOption, LCPError, UnsuitableProblem, imported
 from ..core.files import write_whole
 from ..core.matrix import Matrix
 from ..core.names import Names, format_count
-from ..gallery.scene import Scene
+from ..gallery.scene import Frame, Scene
 from ..judges.certificate import Certificate
 from ..problems.cones.frictional_contact import FrictionalContact
 from ..solving.result import BaseResult, Result
@@ -52,13 +52,7 @@ PANEL_INCHES = (4.9, 4.4)
 
 def require_matplotlib() -> Any:
     """Return matplotlib's Figure class; without matplotlib, raise an error with the command that installs it."""
-    try:
-        from matplotlib.figure import Figure
-    except ImportError as error:
-        raise LCPError(
-            "a picture needs matplotlib; install it with: pip install matplotlib (or lcp_plugin[report])"
-        ) from error
-    return Figure
+    return imported("matplotlib.figure", "a picture needs matplotlib", "report", LCPError).Figure
 
 
 def check_format(path: Path) -> None:
@@ -139,17 +133,6 @@ def draw_tolerance(axes: Any, tolerance: float) -> None:
 # --- A solution -----------------------------------------------------------------------------------------------
 
 
-class Frame(NamedTuple):
-    """Facts of a test problem that a plot shows, as in a `Scene`."""
-
-    grid: tuple[int, ...] | None = None
-    axis_labels: tuple[str, ...] = ()
-    unknown: str = "x"
-    coordinates: Sequence[Any] | None = None
-    active_means: str = "unknowns at a bound"
-    description: str = ""
-
-
 def plot_answer(answer: BaseResult, *, axes: Any = None, shape: Sequence[int] | None = None) -> Any:
     """Return matplotlib's axes with a figure of a solution.
 
@@ -213,11 +196,9 @@ def _frame(answer: Any, shape: Any) -> Frame:
     try:
         sizes = np.zeros(n).reshape(shape).shape
     except (TypeError, ValueError) as error:
-        raise InvalidOption(
-            f"shape must be the grid of the {n} unknowns, as (rows, columns), got {shape!r}"
-        ) from error
+        raise InvalidOption(f"shape must be a grid of {n} unknowns, got {shape!r}") from error
     more = (f"axis {k}" for k in range(len(sizes) - len(LABELS)))
-    return Frame(sizes, (*more, *LABELS[-len(sizes) :]), unknown)
+    return Frame(grid=sizes, axis_labels=(*more, *LABELS[-len(sizes) :]), unknown=unknown)
 
 
 def _grid_of(answer: Any) -> tuple[int, ...] | None:
@@ -226,18 +207,17 @@ def _grid_of(answer: Any) -> tuple[int, ...] | None:
     if not isinstance(M, Matrix):
         return None
     rows, columns = row_numbers(M.csr), M.csr.indices
-    steps = np.unique(np.abs(columns - rows))[1:].tolist()
+    apart = np.abs(columns - rows)
+    steps = np.unique(apart)[1:].tolist()
     if len(steps) not in (2, 3) or steps[0] != 1 or steps[1] == 2:
         return None
     ends = [*steps, len(answer.x)]
     is_even = all(b % a == 0 for a, b in pairwise(ends))
-    is_cut = all(
-        (rows // b == columns // b)[np.abs(columns - rows) == a].all() for a, b in pairwise(ends)
-    )
+    is_cut = all((rows // b == columns // b)[apart == a].all() for a, b in pairwise(ends))
     return tuple(b // a for a, b in pairwise(ends))[::-1] if is_even and is_cut else None
 
 
-def _plotted(answer: BaseResult, frame: Frame | Scene, axes: Any, new: Callable[..., Any]) -> Any:
+def _plotted(answer: BaseResult, frame: Frame, axes: Any, new: Callable[..., Any]) -> Any:
     """Draw into `axes`, or into a new figure with a panel for the residual of a recorded run."""
     is_recorded = bool(getattr(answer, "history", ()))
     is_contact = isinstance(getattr(answer, "problem", None), FrictionalContact)
@@ -265,7 +245,7 @@ def _bounds(answer: object) -> tuple[Vector, Vector]:
     return problem.lower, problem.upper
 
 
-def _draw_unknowns(axes: Any, answer: Any, frame: Frame | Scene) -> None:
+def _draw_unknowns(axes: Any, answer: Any, frame: Frame) -> None:
     from matplotlib.ticker import MaxNLocator
 
     x, (lower, upper) = np.asarray(answer.x), _bounds(answer)
@@ -337,7 +317,7 @@ def contact_level(answer: Certificate) -> Vector:
     return level
 
 
-def _draw_map(axes: Any, x: Array, active: Any, level: Any, frame: Frame | Scene) -> None:
+def _draw_map(axes: Any, x: Array, active: Any, level: Any, frame: Frame) -> None:
     """Draw values over a grid as colors, with the free boundary as a line."""
     nodes = [*(frame.coordinates or [np.arange(size, dtype=float) for size in x.shape])]
     while x.ndim > 2:
@@ -354,7 +334,7 @@ def _draw_map(axes: Any, x: Array, active: Any, level: Any, frame: Frame | Scene
     axes.set(xlabel=x_label, ylabel=y_label)
 
 
-def _draw_cones(axes: Any, answer: Any, frame: Frame | Scene) -> None:
+def _draw_cones(axes: Any, answer: Any, frame: Frame) -> None:
     """Draw the tangential impulse of each closed contact relative to the largest that its friction allows."""
     motion, angle = answer.motion, np.linspace(0.0, 2.0 * np.pi, 200)
     limit = answer.problem.friction * motion.normal

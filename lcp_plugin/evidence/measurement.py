@@ -16,6 +16,7 @@ import numpy as np
 from ..algorithms import create, paper_options
 from ..core.algorithm import Algorithm
 from ..core.checks import Vector
+from ..core.entries import max_norm
 from ..core.errors import InvalidOption, UnsuitableMatrix
 from ..core.lcp import LCP
 from ..core.settings import Status
@@ -24,7 +25,6 @@ from ..judges.certificate import Certificate
 from ..proofs.bounds import error_bound
 from ..solving.dispatch import method_of, solve
 from ..solving.result import Result, Sample
-from .cross_check import largest
 
 TRUE_ERROR, BOUND, RESIDUAL = "true error", "rigorous bound", "residual"
 POINT = ("iteration", "work", "seconds", "seconds_low", "seconds_high", "error", "residual")
@@ -127,10 +127,8 @@ class Measurement:
             return f"{self.method:<18} {self.status:<15} {self.note}"
         steps = "" if self.family == "reference" else f"{self.iterations:>7} iterations"
         passes = "" if self.family == "reference" else f"{self.work:>9.1f} passes"
-        return (
-            f"{self.method:<18} {self.status:<15} {steps:<18} {passes:<16} "
-            f"{self.seconds:>9.3g} s, {self.error_kind} {self.error:.1e}"
-        )
+        head = f"{self.method:<18} {self.status:<15} {steps:<18} {passes:<16}"
+        return f"{head} {self.seconds:>9.3g} s, {self.error_kind} {self.error:.1e}"
 
 
 def fresh(problem: LCP) -> LCP:
@@ -139,11 +137,7 @@ def fresh(problem: LCP) -> LCP:
 
 
 def run(
-    scene: Scene,
-    algorithm: str | Algorithm,
-    measure: Measure,
-    paper_tolerance: float = 0.0,
-    **limits: Any,
+    scene: Scene, algorithm: object, measure: Measure, paper_tolerance: float = 0.0, **limits: Any
 ) -> tuple[Result, list[tuple[float, ...]]]:
     """Return a result and its samples (iteration, work, seconds, error, residual) at geometric intervals.
 
@@ -191,10 +185,7 @@ def measure_method(
     limits |= {"polish": False}
     result, first = run(scene, method.algorithm, measure, **limits)
     repeated = [run(scene, method.algorithm, _unmeasured, **limits)[1] for _ in range(1, repeats)]
-    times = [
-        {(sample[0], sample is samples[-1]): sample[2] for sample in samples}
-        for samples in (first, *repeated)
-    ]
+    times = [{(s[0], s is part[-1]): s[2] for s in part} for part in (first, *repeated)]
     points = []
     for place, sample in zip(times[0], first, strict=True):
         if all(place in seconds for seconds in times):
@@ -233,7 +224,7 @@ def error_measure(scene: Scene, max_seconds: float) -> tuple[str, Measure, str]:
     error: Callable[[Vector], float] | None = None
     if scene.exact is not None:
         exact = scene.exact
-        kind, error = TRUE_ERROR, lambda z: largest(z - exact)
+        kind, error = TRUE_ERROR, lambda z: max_norm(z - exact)
     else:
         error, reason = _error_bound(scene, max_seconds)
         kind = RESIDUAL if error is None else BOUND
@@ -253,12 +244,12 @@ def _error_bound(scene: Scene, max_seconds: float) -> tuple[Callable[[Vector], f
         return None, f"no bound of the error: {failure}"
     result, _ = run(scene, "auto", _unmeasured, max_seconds=max_seconds)
     known = error_bound(problem, result.z)
-    least, size = known.infinity, largest(result.z)
+    least, size = known.infinity, max_norm(result.z)
     if (near := known.near) is not None:
-        least, size = largest(near.y), largest(near.high)
+        least, size = max_norm(near.y), max_norm(near.high)
     if least > 0.0 and not least < size:
         return None, f"no bound of the error: it is {least:.1e} for a solution of size {size:.1e}"
-    return (lambda z: largest(known.carried_to(z))), ""
+    return (lambda z: max_norm(known.carried_to(z))), ""
 
 
 # --- The methods ------------------------------------------------------------------------------------------------
@@ -292,10 +283,8 @@ def methods_of(algorithms: Any) -> list[Method]:
     """
     if algorithms is None:
         paper = ("npgs", None), ("npsor", PAPER_RELAXATION), ("mgs", None), ("msor", PAPER_MSOR)
-        methods = [
-            Method(f"{name.upper()} paper", create(name, paper_options(name, omega)), note=PAPER)
-            for name, omega in paper
-        ]
+        made = ((name, create(name, paper_options(name, omega))) for name, omega in paper)
+        methods = [Method(f"{name.upper()} paper", one, note=PAPER) for name, one in made]
         relatives = "NPGS", "NPSOR", "NPAOR", "GFP", "PGS", "PSOR", "multigrid"
         methods += [Method(label, create(label.lower(), {})) for label in relatives]
         return [*methods, Method("auto", "auto")]
@@ -305,18 +294,13 @@ def methods_of(algorithms: Any) -> list[Method]:
         is_named = isinstance(algorithms, Mapping)
         named = [*algorithms.items()] if is_named else [(None, part) for part in [*algorithms]]
     except TypeError:  # a sparse array only looks like a sequence
-        raise InvalidOption(
-            f'methods must be names or Algorithm objects, got {algorithms!r}; write ["psor"]'
-        ) from None
+        raise InvalidOption(f"methods must be names or Algorithms, got {algorithms!r}") from None
     methods_by_label: dict[str, Method] = {}
     for label, algorithm in named:
         method = _method(label, algorithm)
         other = methods_by_label.setdefault(method.label, method)
         if other.algorithm != method.algorithm:
-            raise InvalidOption(
-                f"two methods are called {method.label!r}; give them labels, as in "
-                '{"mine": …, "theirs": …}'
-            )
+            raise InvalidOption(f"two methods are called {method.label!r}; give them labels")
     return [*methods_by_label.values()]
 
 
@@ -329,10 +313,7 @@ def _method(label: object, algorithm: Any) -> Method:
         name, options = (algorithm, {}) if isinstance(algorithm, str) else algorithm
         algorithm = method_of(name, dict(options)) or "auto"
     elif not isinstance(algorithm, Algorithm):
-        raise InvalidOption(
-            'a method is a name, an Algorithm object or a pair as ("npsor", {"relaxation": 1.5}), '
-            f"got {algorithm!r}"
-        )
+        raise InvalidOption(f"a method is a name, Algorithm or (name, options), got {algorithm!r}")
     return Method(str(label) if label else _label(algorithm), algorithm)
 
 
@@ -340,7 +321,6 @@ def _label(algorithm: str | Algorithm) -> str:
     """Return the name with the options that differ from the defaults."""
     if isinstance(algorithm, str):
         return algorithm
-    defaults = {option.name: option.default for option in fields(algorithm)}
-    values = {name: getattr(algorithm, name) for name in defaults}
-    changed = (name for name in defaults if repr(values[name]) != repr(defaults[name]))
+    values = {option.name: getattr(algorithm, option.name) for option in fields(algorithm)}
+    changed = (o.name for o in fields(algorithm) if repr(values[o.name]) != repr(o.default))
     return " ".join([algorithm.name, *(f"{name}={values[name]}" for name in changed)])

@@ -27,40 +27,25 @@ from ..core.settings import Settings, whole_number
 from ..gallery import names as scene_names
 from ..gallery import parse
 from ..gallery.scene import SIZES, Scene, defaults_of
+from . import measurement
 from .cross_check import PLAIN, ConvexForm, solver_name
 from .drawing import check_format, draw_curve, draw_tolerance, look_of, panels, save
-from .measurement import (
-    BOUND,
-    POINT,
-    RESIDUAL,
-    TRUE_ERROR,
-    Measurement,
-    Method,
-    error_measure,
-    fresh,
-    measure_method,
-    measure_polish,
-    methods_of,
-)
+from .measurement import RESIDUAL, Measurement, Method
 
 PACKAGES = ("numpy", "scipy", "numba", "cvxpy")
-VALUES = {
-    "iterations": "iterations",
-    "work": "work [passes over M]",
-    "seconds": "time [s], set-up included",
-    "error": "error",
-    "residual": "relative residual",
-}
+VALUES = {"iterations": "iterations", "work": "work [passes over M]"}
+VALUES |= {"seconds": "time [s], set-up included"}
+VALUES |= {"error": "error", "residual": "relative residual"}
 ERROR_LABELS = {
-    TRUE_ERROR: "true error ‖z\xa0−\xa0z*‖∞",
-    BOUND: "proved bound of the error ‖z\xa0−\xa0z*‖∞",
+    measurement.TRUE_ERROR: "true error ‖z\xa0−\xa0z*‖∞",
+    measurement.BOUND: "proved bound of the error ‖z\xa0−\xa0z*‖∞",
     RESIDUAL: "relative residual",
 }
 # statuses after which a polish may be made
 ENDED = ("SOLVED", "PRECISION_LIMIT", "STALLED", "DIVERGED")
 LEAST = {"work": 1.0, "seconds": 1e-9}  # a run whose start is the solution counts one pass
 
-NO_POINTS = np.zeros((0, len(POINT)))
+NO_POINTS = np.zeros((0, len(measurement.POINT)))
 
 
 @dataclass(frozen=True)
@@ -158,10 +143,8 @@ class Study:
             cells = {(row.method, row.size): _cell(row, value) for row in rows}
             n = {row.size: row.n for row in rows}
             heads = ("method", *(f"n = {count or size}" for size, count in n.items()))
-            lines = [
-                (method, *(cells.get((method, size)) for size in n))
-                for method in dict.fromkeys(row.method for row in rows)
-            ]
+            methods = dict.fromkeys(row.method for row in rows)
+            lines = [(method, *(cells.get((method, size)) for size in n)) for method in methods]
             tables.append(Table(f"{problem}: {VALUES[value]}", heads, lines))
         return tables
 
@@ -266,10 +249,8 @@ def _draw_errors(axes: Any, rows: Sequence[Measurement], against: str, looks: An
 def _range(rows: Sequence[Measurement]) -> tuple[float, float]:
     """Return the errors that are shown: from the least of a result to three times the largest start."""
     errors = [row.column("error")[[0, -1]] for row in rows]
-    starts, ends = (
-        [value for value in column if 0.0 < value < math.inf]
-        for column in np.reshape(errors, (-1, 2)).T
-    )
+    columns = np.reshape(errors, (-1, 2)).T
+    starts, ends = ([v for v in column if 0.0 < v < math.inf] for column in columns)
     ends = ends or [1e-16]
     low = max(min(ends), float(np.median(ends)) * 1e-3) / 2.0
     return low, 3.0 * max(starts or [1.0], default=1.0)
@@ -352,21 +333,20 @@ def study(
     is_paper = stopping == "paper"
     tolerance = (1e-5 if is_paper else 1e-8) if tolerance is None else tolerance
     Settings(tolerance=tolerance, max_seconds=max_seconds)
-    entrants, targets = methods_of(methods), _label_problems(problems)
+    entrants, targets = measurement.methods_of(methods), _label_problems(problems)
     listed = [*sizes] if isinstance(sizes, Iterable) else [sizes]
     if sizes is not None:
         listed = [whole_number(size, "each of sizes", 1, ", as [100, 400]") for size in listed]
     if not isinstance(references, list | tuple):
         raise InvalidOption(f"references must be a list of names, got {references!r}")
-    if references:
-        references = [solver_name(name) for name in references]
+    references = [solver_name(name) for name in references]
     polish = polish and not is_paper
     # A run by the paper's rule has its own test in place of the relative residual
     stop, relative = ("paper_tolerance", math.nan) if is_paper else ("tolerance", tolerance)
     limits = {"tolerance": 0.0, "max_seconds": max_seconds, stop: tolerance}
     rows: list[Measurement] = []
     notes: dict[str, None] = {}
-    is_complete = False
+    ending = "interrupted: the rows above are complete"
     try:
         for (label, target), size in product(targets.items(), listed or [None]):
             blank = Measurement(label, size, 0, 0, "", "", "", "", relative)
@@ -376,10 +356,9 @@ def study(
                     notes[row] = None
                 else:
                     rows.append(row)
-        is_complete = True
     except KeyboardInterrupt:
-        notes["interrupted: the rows above are complete"] = None
-    return Study(tuple(rows), tuple(notes), is_complete)
+        notes[ending] = None
+    return Study(tuple(rows), tuple(notes), ending not in notes)
 
 
 def error_against_time(
@@ -413,12 +392,8 @@ def error_against_time(
     """
     if not isinstance(target, LCP | Scene | str):
         raise InvalidOption(f"{refusal('error_against_time', target)}; or a test problem")
-    return study(
-        {"problem": target} if isinstance(target, LCP) else [target],
-        methods,
-        references=references,
-        **options,
-    )
+    problems = {"problem": target} if isinstance(target, LCP) else [target]
+    return study(problems, methods, references=references, **options)
 
 
 def _measurements(
@@ -434,22 +409,22 @@ def _measurements(
     label = blank.problem
     try:
         scene = _build_problem(target, label, blank.size)
-        fresh(scene.problem)
+        measurement.fresh(scene.problem)
     except Exception as error:  # a function of the user may raise anything
         for method in methods:
             yield _row(blank, method, "REFUSED", note=_line(error))
         return
-    kind, measure, reason = error_measure(scene, limits["max_seconds"])
+    kind, measure, reason = measurement.error_measure(scene, limits["max_seconds"])
     blank = replace(blank, n=scene.n, nonzeros=scene.problem.nonzeros, error_kind=kind)
     if reason:
         yield f"{label}: {reason}"
     for method in methods:
         try:
-            status, points = measure_method(scene, method, measure, repeats, **limits)
+            status, points = measurement.measure_method(scene, method, measure, repeats, **limits)
             yield _row(blank, method, status, points, method.note)
             if not has_polish or status not in ENDED:
                 continue
-            if (polish := measure_polish(scene, method, measure, **limits)) is not None:
+            if (polish := measurement.measure_polish(scene, method, measure, **limits)) is not None:
                 yield _row(blank, Method(f"{method.label}, polished", "", "polish"), *polish)
         except (UnsuitableMatrix, UnsuitableProblem) as error:
             yield _row(blank, method, "REFUSED", note=str(error))
@@ -507,9 +482,7 @@ def _check_problem(problem: object) -> Any:
         name = problem.partition(":")[0].strip()
         if name not in scene_names():
             hint = did_you_mean(name, scene_names(), is_listed=True)
-            raise InvalidOption(
-                f"unknown test problem {problem!r}{hint}; a file: load_problem(path)"
-            )
+            raise InvalidOption(f"unknown test problem {problem!r}{hint}; a file: load_problem()")
         return partial(_build_by_name, problem)
     is_function = callable(problem) and class_of(problem) is None
     if isinstance(problem, LCP | Scene | tuple) or is_function:

@@ -102,13 +102,12 @@ def power(exponent: float) -> Function:
     >>> power(3.0).value(np.array([-2.0])), power(3.0).derivatives(np.array([-2.0]))
     (array([-8.]), (array([12.]),))
     """
+
+    def slopes(u: Array) -> tuple[Any]:
+        return (exponent * u ** (exponent - 1.0),)
+
     # numpy computes the powers 1, 2 and 1/2 as u, u² and √u.
-    return Function(
-        f"power {exponent!r}",
-        1,
-        lambda u: u**exponent,
-        lambda u: (exponent * u ** (exponent - 1.0),),
-    )
+    return Function(f"power {exponent!r}", 1, lambda u: u**exponent, slopes)
 
 
 SAME, SQUARE = power(1.0), power(2.0)

@@ -30,6 +30,7 @@ from . import functions
 from .functions import Function
 
 Indices: TypeAlias = NDArray[np.int64]
+Shape: TypeAlias = tuple[int, ...]
 #: The derivative by one source; a number c stands for c times the identity.
 Block: TypeAlias = float | sp.csr_array
 
@@ -51,7 +52,7 @@ class Rows:
 
     blocks: dict[int, Block]
     offset: Vector
-    shape: tuple[int, ...]
+    shape: Shape
     level: int = 0
 
     @classmethod
@@ -78,19 +79,18 @@ class Rows:
         are_ones = [isinstance(block, float) and block == 1.0 for block in self.blocks.values()]
         return are_ones == [True] and not self.offset.any()
 
-    def taken(self, numbers: Indices, shape: tuple[int, ...] | None = None) -> Rows:
+    def taken(self, numbers: Indices, shape: Shape | None = None) -> Rows:
         """Return the rows with these numbers, −1 for a row of zeros, as an array of that shape."""
         shape = numbers.shape if shape is None else shape
         if numbers.size == self.size and np.array_equal(numbers, np.arange(self.size)):
             return replace(self, shape=shape)
         is_taken, offset = numbers >= 0, np.zeros(numbers.size)
         offset[is_taken] = self.offset[numbers[is_taken]]
-        blocks = {
-            key: _rows_of(block, numbers, is_taken, self.size) for key, block in self.blocks.items()
-        }
+        parts = self.blocks.items()
+        blocks = {key: _rows_of(block, numbers, is_taken, self.size) for key, block in parts}
         return Rows(blocks, offset, shape, self.level)
 
-    def spread(self, shape: tuple[int, ...]) -> Rows:
+    def spread(self, shape: Shape) -> Rows:
         """Return the array broadcast to a shape."""
         if self.shape == shape:
             return self
@@ -103,7 +103,7 @@ class Rows:
         blocks = {key: _changed(block, operation, factor) for key, block in self.blocks.items()}
         return replace(self, blocks=blocks, offset=operation(self.offset, factor))
 
-    def applied(self, operator: sp.csr_array, shape: tuple[int, ...]) -> Rows:
+    def applied(self, operator: sp.csr_array, shape: Shape) -> Rows:
         """Return operator · rows as an array of that shape; the operator itself where a block is the identity."""
         blocks = {
             key: (operator if block == 1.0 else operator * block)
@@ -113,24 +113,23 @@ class Rows:
         }
         return Rows(blocks, operator @ self.offset, shape, self.level)
 
-    def summed(self, targets: Indices, shape: tuple[int, ...] = ()) -> Rows:
+    def summed(self, targets: Indices, shape: Shape = ()) -> Rows:
         """Return sums of rows: row k is added to the sum with the number targets[k]."""
         entries = np.ones(self.size), (targets, np.arange(self.size))
-        operator = sp.csr_array(entries, shape=(math.prod(shape), self.size))
-        return self.applied(operator, shape)
+        return self.applied(sp.csr_array(entries, shape=(math.prod(shape), self.size)), shape)
 
 
-def entry_numbers(shape: tuple[int, ...]) -> Indices:
+def entry_numbers(shape: Shape) -> Indices:
     """Return an array of a shape that holds the numbers of its entries, column by column."""
     return np.arange(math.prod(shape)).reshape(shape, order="F")
 
 
-def entries_behind(shape: tuple[int, ...], source: tuple[int, ...]) -> Indices:
+def entries_behind(shape: Shape, source: Shape) -> Indices:
     """Return the number of the source's entry that each entry is after broadcasting to a shape."""
     return np.broadcast_to(entry_numbers(source), shape).ravel(order="F")
 
 
-def added(parts: Iterable[Any], shape: tuple[int, ...]) -> Rows:
+def added(parts: Iterable[Any], shape: Shape) -> Rows:
     """Return the sum of rows and constants, each broadcast to the shape."""
     rows = [Rows.of(part).spread(shape) for part in parts]
     terms: dict[int, list[Block]] = defaultdict(list)
@@ -152,9 +151,8 @@ def stacked(parts: Sequence[Rows]) -> Rows:
         for key, block in part.blocks.items():
             terms[key].append((as_matrix(block, part.size), size, 0))
         size += part.size
-    blocks: dict[int, Block] = {
-        key: _placed(matrices, (size, matrices[0][0].shape[1])) for key, matrices in terms.items()
-    }
+    widths = {key: matrices[0][0].shape[1] for key, matrices in terms.items()}
+    blocks: dict[int, Block] = {key: _placed(terms[key], (size, widths[key])) for key in terms}
     offset = np.concatenate([part.offset for part in parts])
     return Rows(blocks, offset, (size,), max(part.level for part in parts))
 
@@ -261,9 +259,7 @@ class Compiler:
         self.groups.append((level, function, arguments, key))
         return Rows({key: 1.0}, np.zeros(arguments[0].size), arguments[0].shape, level)
 
-    def elementwise(
-        self, function: Function, left: Any, right: Any, shape: tuple[int, ...]
-    ) -> Rows:
+    def elementwise(self, function: Function, left: Any, right: Any, shape: Shape) -> Rows:
         """Return the product or the quotient of two operands, one of them `Rows`, broadcast to a shape."""
         is_product = function is functions.PRODUCT
         if left is right and is_product:
@@ -278,7 +274,7 @@ class Compiler:
             factor = Rows.of(right).spread(shape).offset
         return rows.scaled(factor, np.multiply if is_product else np.divide)
 
-    def product(self, left: Any, right: Any, shape: tuple[int, ...]) -> Rows:
+    def product(self, left: Any, right: Any, shape: Shape) -> Rows:
         """Return the matrix product of two operands, one of them `Rows`, or of stacks of matrices."""
         if left is right and len(left.shape) == 1:
             return self.emit(functions.SQUARE, left).summed(np.zeros(left.size, dtype=np.int64))
@@ -292,17 +288,14 @@ class Compiler:
             copies = rows.shape[1 if is_left else 0] if len(rows.shape) == 2 else 1
             if copies > 1:
                 identity = sp.eye_array(copies)
-                operator = sp.kron(
-                    *((identity, operator) if is_left else (operator, identity)), format="csr"
-                )
+                factors = (identity, operator) if is_left else (operator, identity)
+                operator = sp.kron(*factors, format="csr")
             return rows.applied(operator, shape)
         at_left, at_right, targets = _meeting(left.shape, right.shape)
         if isinstance(constant, Rows):
             # Rows of many terms, of which each product would hold a copy, become quantities of their own.
-            first, second = (
-                operand if operand.terms <= operand.size else self.emit(functions.SAME, operand)
-                for operand in (left, right)
-            )
+            named = [self.emit(functions.SAME, x) if x.terms > x.size else x for x in (left, right)]
+            first, second = named
             terms = self.emit(functions.PRODUCT, first.taken(at_left), second.taken(at_right))
             return terms.summed(targets, shape)
         of_constant, of_rows = (at_left, at_right) if is_left else (at_right, at_left)
@@ -312,16 +305,13 @@ class Compiler:
         return rows.applied(operator, shape)
 
 
-def _meeting(left: tuple[int, ...], right: tuple[int, ...]) -> tuple[Indices, ...]:
+def _meeting(left: Shape, right: Shape) -> tuple[Indices, ...]:
     """Return the factors of a matrix product: rows of the left, rows of the right, and the entry that they add to."""
     first = (1, *left) if len(left) == 1 else left
     second = (*right, 1) if len(right) == 1 else right
-    batch = np.broadcast_shapes(first[:-2], second[:-2])
-    entry = (*batch, first[-2], second[-1])
+    entry = (*np.broadcast_shapes(first[:-2], second[:-2]), first[-2], second[-1])
     at_left, at_right, target = map(entry_numbers, (first, second, entry))
-    both = np.broadcast_arrays(
-        at_left[..., np.newaxis], at_right[..., np.newaxis, :, :], target[..., np.newaxis, :]
-    )
+    both = np.broadcast_arrays(at_left[..., None], at_right[..., None, :, :], target[..., None, :])
     return tuple(numbers.ravel() for numbers in both)
 
 
@@ -417,21 +407,16 @@ class Program:
             The number of unknowns.
         """
         # Functions of two arguments first.
-        groups = sorted(
-            compiler.groups, key=lambda group: (group[0], len(group[2]) == 1, group[1].name)
-        )
+        groups = sorted(compiler.groups, key=lambda one: (one[0], len(one[2]) == 1, one[1].name))
         numbers, count = dict(first), n
         for _, _, arguments, key in groups:
             numbers[key], count = count, count + arguments[0].size
         levels = []
         for _, members in groupby(groups, key=itemgetter(0)):
-            level_groups = list(members)
-            both = [
-                [arguments[k] for _, _, arguments, _ in level_groups if len(arguments) > k]
-                for k in (0, 1)
-            ]
+            part = list(members)
+            both = ([each[2][k] for each in part if len(each[2]) > k] for k in (0, 1))
             combinations = tuple(_combination(rows, numbers, count) for rows in both)
-            levels.append(Level(combinations, _spans(level_groups)))
+            levels.append(Level(combinations, _spans(part)))
         return cls(n, levels, _combination(results, numbers, count))
 
     def rearranged(self, places: Indices, signs: Vector) -> Program:

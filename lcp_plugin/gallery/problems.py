@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
+from typing import Any
 
 import numpy as np
 import scipy.sparse as sp
@@ -19,6 +20,7 @@ from .scene import Scene, require, scene_builder
 
 Field = NDArray[np.float64]
 Coefficient = float | Field
+Legs = Sequence[Coefficient]
 
 
 def nodes(low: float, high: float, size: int) -> Vector:
@@ -32,10 +34,7 @@ def interior(dimension: int) -> tuple[slice, ...]:
 
 
 def stencil_matrix(
-    shape: tuple[int, ...],
-    centre: Coefficient,
-    below: Sequence[Coefficient],
-    above: Sequence[Coefficient],
+    shape: tuple[int, ...], centre: Coefficient, below: Legs, above: Legs
 ) -> sp.csr_array:
     """Return the matrix of (centre u)_i + Σ_axis (below[axis] u_{i − e} + above[axis] u_{i + e}) on a grid.
 
@@ -78,9 +77,7 @@ def stencil_matrix(
     return sp.csr_array((entries[rows, legs], (rows, columns)), shape=(n, n))
 
 
-def dirichlet_terms(
-    field: Field, below: Sequence[Coefficient], above: Sequence[Coefficient]
-) -> Vector:
+def dirichlet_terms(field: Field, below: Legs, above: Legs) -> Vector:
     """Return the terms that known values on the boundary layer add to each row of the stencil, shape (n,).
 
     Parameters
@@ -147,21 +144,15 @@ def obstacle_2d(*, size: int = 100, shifted: bool = False) -> Scene:
     continuum = solution[interior(2)].ravel()
     if shifted:
         q, continuum, lower = M @ lower + q, continuum - lower, np.zeros(lower.size)
-    return Scene(
-        problem=LCP(M, q, lower=lower),
-        continuum=continuum,
-        coordinates=(axis[1:-1], axis[1:-1]),
-        axis_labels=("x", "y"),
-        unknown="height",
-        active_means="on the obstacle",
-    )
+    facts: dict[str, Any] = {"unknown": "height", "active_means": "on the obstacle"}
+    facts |= {"coordinates": (axis[1:-1], axis[1:-1]), "axis_labels": ("x", "y")}
+    return Scene(problem=LCP(M, q, lower=lower), continuum=continuum, **facts)
 
 
 def sphere_obstacle(r: Field) -> Field:
     """Return ψ(r) = √(1 − r²), continued by the tangent at r = 0.9; any shape."""
     slope = -CONE_BEGINS / math.sqrt(1.0 - CONE_BEGINS**2)
-    sphere = np.sqrt(1.0 - np.minimum(r, CONE_BEGINS) ** 2)
-    return sphere + slope * np.maximum(r - CONE_BEGINS, 0.0)
+    return np.sqrt(1.0 - np.minimum(r, CONE_BEGINS) ** 2) + slope * np.maximum(r - CONE_BEGINS, 0.0)
 
 
 def sphere_solution(r: Field) -> Field:
@@ -258,7 +249,8 @@ def paper_example_1(*, n: int = 100, delta: float = 4.0) -> Scene:
     ----------
     Kumar, Deepmala, Das, *More on projected type iteration method and linear complementarity problem*, §5.
     """
-    return _paper_scene(n, delta, below=-1.0, above=-1.0)
+    exact, start = np.resize([1.0, 2.0], n), np.resize([1.0, 0.0], n)
+    return _five_point(delta, exact, start=start)
 
 
 @scene_builder
@@ -281,20 +273,18 @@ def paper_example_2(*, n: int = 100, delta: float = 4.0) -> Scene:
     ----------
     Kumar, Deepmala, Das, *More on projected type iteration method and linear complementarity problem*, §5.
     """
-    return _paper_scene(n, delta, below=-1.5, above=-0.5)
+    exact, start = np.resize([1.0, 2.0], n), np.resize([1.0, 0.0], n)
+    return _five_point(delta, exact, legs=(-1.5, -0.5), start=start)
 
 
-def _paper_scene(n: int, delta: float, below: float, above: float) -> Scene:
-    side = _side(n)
-    M = stencil_matrix((side, side), 4.0 + delta, (below, below), (above, above))
-    exact = np.resize([1.0, 2.0], n)
-    return Scene(
-        problem=LCP(M, -(M @ exact)),
-        exact=exact,
-        start=np.resize([1.0, 0.0], n),
-        grid=(side, side),
-        axis_labels=("row", "column"),
-    )
+def _five_point(
+    delta: float, exact: Vector, slack: Any = 0.0, legs: Any = (-1.0, -1.0), **facts: Any
+) -> Scene:
+    """Return the test problem of a five-point matrix plus delta I whose solution and slack are chosen."""
+    side = _side(exact.size)
+    M = stencil_matrix((side, side), 4.0 + delta, *([leg] * 2 for leg in legs))
+    facts |= {"grid": (side, side), "axis_labels": ("row", "column")}
+    return Scene(problem=LCP(M, slack - M @ exact), exact=exact, **facts)
 
 
 @scene_builder
@@ -316,9 +306,7 @@ def half_active(*, n: int = 10_000, delta: float = 4.0, degenerate: bool = True)
     then q = w* − M z*. The paper's examples have no active constraint and so do not test
     complementarity: an iteration for the linear system alone would solve them.
     """
-    side = _side(n)
-    M = stencil_matrix((side, side), 4.0 + delta, (-1.0, -1.0), (-1.0, -1.0))
-    row, column = np.divmod(np.arange(n), side)
+    row, column = np.divmod(np.arange(n), _side(n))
     block = 5  # side of the squares of the checkerboard
     is_active = (row // block + column // block) % 2 == 1
     values = np.resize([1.0, 2.0], n)
@@ -326,12 +314,7 @@ def half_active(*, n: int = 10_000, delta: float = 4.0, degenerate: bool = True)
     slack = np.where(is_active, values, 0.0)
     if degenerate:
         slack[(row % block == 0) & (column % block == 0)] = 0.0
-    return Scene(
-        problem=LCP(M, slack - M @ exact),
-        exact=exact,
-        grid=(side, side),
-        axis_labels=("row", "column"),
-    )
+    return _five_point(delta, exact, slack)
 
 
 def _side(n: int) -> int:

@@ -20,7 +20,19 @@ SIZES = {"n", "size"}  # parameters that are at least 1
 
 
 @dataclass(frozen=True, eq=False, repr=False, kw_only=True)
-class Scene:
+class Frame:
+    """Facts about unknowns that a plot shows; see :class:`Scene`."""
+
+    description: str = ""
+    grid: tuple[int, ...] | None = None
+    coordinates: tuple[Vector, ...] | None = None
+    axis_labels: tuple[str, ...] = ()
+    unknown: str = "z"
+    active_means: str = "unknowns at a bound"
+
+
+@dataclass(frozen=True, eq=False, repr=False, kw_only=True)
+class Scene(Frame):
     """A test problem with what is known about it.
 
     The facts are declared, not computed: a `Scene` costs the assembly of its matrix and nothing else.
@@ -63,16 +75,10 @@ class Scene:
 
     problem: LCP
     name: str = ""
-    description: str = ""
     parameters: Mapping[str, Any] = field(default_factory=dict)
     exact: Vector | None = None
     continuum: Vector | None = None
     start: Vector | None = None
-    grid: tuple[int, ...] | None = None
-    coordinates: tuple[Vector, ...] | None = None
-    axis_labels: tuple[str, ...] = ()
-    unknown: str = "z"
-    active_means: str = "unknowns at a bound"
 
     def __post_init__(self) -> None:
         for fact in ("exact", "continuum", "start"):
@@ -168,9 +174,7 @@ def _checked(name: str, key: str, value: Any, default: Any) -> Any:
     is_right, needs = requirements[type(default)]
     if is_right:
         return type(default)(value)
-    raise InvalidOption(
-        f"test problem {name!r}: {key} must be {needs}, as {default!r}, got {value!r}"
-    )
+    raise InvalidOption(f"problem {name!r}: {key} must be {needs}, as {default!r}, got {value!r}")
 
 
 def require(condition: bool, words: str) -> None:

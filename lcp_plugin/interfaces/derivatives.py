@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from importlib import import_module
 from typing import Any
 
 import numpy as np
@@ -10,7 +9,7 @@ import scipy.sparse as sp
 from numpy.typing import ArrayLike
 
 from ..core.checks import Vector
-from ..core.errors import InvalidOption, InvalidProblem
+from ..core.errors import InvalidOption, InvalidProblem, imported
 from ..problems.nonlinear.data import Differences, NonlinearProblem
 
 
@@ -52,7 +51,7 @@ def from_jax(
     >>> solve(problem).x.round(6)
     array([1.098612, 0.      ])
     """
-    jax = _imported("jax", "JAX")
+    jax = imported("jax", "NonlinearProblem.from_jax needs JAX", "jax")
     require_double(jax, "NonlinearProblem.from_jax")
     compiled, slopes = jax.jit(F), jax.jit(jax.jacfwd(F))
 
@@ -120,39 +119,23 @@ def from_casadi(
     >>> solve(problem).x.round(6)
     array([1.098612, 0.      ])
     """
-    casadi = _imported("casadi", "CasADi")
+    casadi = imported("casadi", "NonlinearProblem.from_casadi needs CasADi", "casadi")
     if not (isinstance(x, (casadi.SX, casadi.MX)) and x.is_valid_input()):
         raise InvalidProblem(f'x must be symbols of CasADi, as MX.sym("x", n), got {x!r}')
     F = type(x)(casadi.vertcat(*F) if isinstance(F, (list, tuple)) else F)
     if F.shape != x.shape or x.shape[1] != 1:
-        raise InvalidProblem(
-            f"F must have one row per unknown, got shape {F.shape} for x of shape {x.shape}"
-        )
+        raise InvalidProblem(f"F must have one row per unknown, got {F.shape} for x of {x.shape}")
     unknowns = {str(symbol) for symbol in casadi.symvar(x)}
     if others := [symbol for symbol in map(str, casadi.symvar(F)) if symbol not in unknowns]:
-        raise InvalidProblem(
-            f"F contains {', '.join(others)}, but only x may be unknown; insert numbers by casadi.substitute"
-        )
+        raise InvalidProblem(f"F contains {', '.join(others)}; insert numbers by casadi.substitute")
     slopes = casadi.jacobian(F, x)
     pattern = slopes.sparsity()
     rows, ends = np.array(pattern.row(), np.int32), np.array(pattern.colind(), np.int32)
-    value, entries = (
-        casadi.Function(name, [x], [casadi.densify(expression)])
-        for name, expression in (("F", F), ("slopes", slopes.nz[:]))
-    )
+    parts = (casadi.densify(part) for part in (F, slopes.nz[:]))
+    value, entries = (casadi.Function("values", [x], [part]) for part in parts)
 
     def jacobian(x: Vector) -> sp.csc_array:
         return sp.csc_array((entries(x).full().ravel(), rows, ends), shape=slopes.shape)
 
     model = NonlinearProblem(lambda x: value(x).full().ravel(), jacobian, lower, upper, names=names)
     return model.with_size(x.shape[0])
-
-
-def _imported(package: str, name: str) -> Any:
-    try:
-        return import_module(package)
-    except ImportError as error:
-        raise ImportError(
-            f"NonlinearProblem.from_{package} needs {name}; install it with: pip install {package} "
-            f"(or lcp_plugin[{package}])"
-        ) from error

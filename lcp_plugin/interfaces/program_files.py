@@ -11,18 +11,10 @@ from typing import Any, NamedTuple
 import numpy as np
 import scipy.sparse as sp
 
+from ..core import files
 from ..core.checks import AnyMatrix, Array
-from ..core.errors import InvalidProblem, UnreadableFile, UnsupportedModel, warn
-from ..core.files import (
-    PARTS,
-    arrays_in,
-    checked_path,
-    in_folder,
-    market_arrays,
-    names_in,
-    opened,
-    read_number,
-)
+from ..core.errors import InvalidProblem, UnreadableFile, UnsupportedModel, imported, warn
+from ..core.files import checked_path, opened
 from ..core.lcp import LCP
 from ..core.names import Names
 from ..core.problem_classes import with_article
@@ -51,9 +43,7 @@ class NumberOf(dict[str, int]):
         self.section, self.remarks = section, remarks
         for name in names:
             if name in self:
-                raise InvalidProblem(
-                    f"{name} in {section} is stated twice; rename one, or join them"
-                )
+                raise InvalidProblem(f"{name} is stated twice in {section}; rename or join them")
             self[name] = len(self)
 
     def find(self, name: str, section: str, words: list[str]) -> int:
@@ -86,9 +76,7 @@ def read_mps(source: Path, remarks: list[str]) -> Read:
     has_blanks = any(len(words) != 2 for words in sections["ROWS"])
     if has_blanks or any(len(words) % 2 == 0 for words in sections["COLUMNS"]):  # fixed format
         fields = [slice(*places) for places in FIELDS]
-        sections = _sections(
-            lines, lambda line: [*filter(None, (line[field].strip() for field in fields))]
-        )
+        sections = _sections(lines, lambda line: [w for f in fields if (w := line[f].strip())])
     sense = [words[-1].upper()[:3] for words in sections["OBJSENSE"]] or ["MIN"]
     row_types = np.array([words[0].upper() for words in sections["ROWS"]], dtype=np.str_)
     if strange := {*row_types.tolist()} - {*"NLGE"} or {*sense} - {"MIN", "MAX"}:
@@ -150,7 +138,7 @@ def _sections(lines: list[str], split: Callable[[str], list[str]]) -> dict[str, 
 def _number_in(text: str, words: list[str], section: str) -> float:
     """Return a number of a line of a section; it may be infinite in RANGES and BOUNDS."""
     try:
-        value: float = read_number(text)
+        value: float = files.read_number(text)
     except ValueError:
         value = np.nan
     if np.isnan(value) or (np.isinf(value) and section not in ("RANGES", "BOUNDS")):
@@ -209,8 +197,7 @@ def _bounds(lines: Lines, columns: NumberOf, integers: list[str]) -> tuple[Entri
     for _, j in sorted(key for key in upper if upper[key] < 0.0 and key not in lower):
         lower[0, j] = -np.inf
         columns.remarks.append(
-            f"{list(columns)[j]} has the upper bound {upper[0, j]:g} and no lower bound; it is −∞, as in other readers "
-            "of MPS files: write MI for −∞, or LO"
+            f"{list(columns)[j]} has the upper bound {upper[0, j]:g} and no lower bound; it is −∞: write MI, or LO"
         )
     return lower, upper
 
@@ -253,12 +240,7 @@ def load_fclib(source: Path) -> FrictionalContact:
     UnsupportedModel
         If the file has equations in addition to its contacts.
     """
-    try:
-        import h5py
-    except ImportError as error:
-        raise UnreadableFile(
-            f"{source} is read by h5py; install it with: pip install h5py (or lcp_plugin[fclib])"
-        ) from error
+    h5py = imported("h5py", f"{source} is read by h5py", "fclib", UnreadableFile)
     with opened(source, "HDF5 file") as file, h5py.File(file, "r") as content:
         try:
             for name in ("fclib_local", "fclib_global"):
@@ -326,9 +308,7 @@ def _contacts(source: Path, name: str, group: Any) -> FrictionalContact:
 def _lcp(M: AnyMatrix, q: Array, **bounds: Array) -> LCP:
     # Before M becomes CSR, which takes memory for every row that a sparse matrix announces.
     if sp.issparse(M) and q.shape != M.shape[:1]:
-        raise InvalidProblem(
-            f"q must be a finite vector of length {M.shape[0]}, got shape {q.shape}"
-        )
+        raise InvalidProblem(f"q must be a finite vector of length {M.shape[0]}, got {q.shape}")
     return LCP(M, q, **bounds)
 
 
@@ -357,9 +337,7 @@ def _program(c: Any, P: Any = None, l: Any = None, u: Any = None, **data: Any) -
     if l is None and u is None:
         return QuadraticProgram(P, c, **data)
     if "A" not in data:
-        raise InvalidProblem(
-            "it holds l or u, the limits of A x, and no A; bounds of x are lower and upper"
-        )
+        raise InvalidProblem("l, u limit A x, and A is missing; bounds of x are lower, upper")
     if rows := sorted(data.keys() & {"G", "h", "b"}):
         raise InvalidProblem(f"{', '.join(rows)} and l, u state rows; l, u are the limits of all")
     limits = -np.inf if l is None else l, np.inf if u is None else u
@@ -440,7 +418,7 @@ def class_of_file(source: Path) -> type:
         return FrictionalContact
     if suffix != ARRAYS:
         return LCP
-    names = {PARTS.get(name, name) for name in names_in(source)}
+    names = {files.PARTS.get(name, name) for name in files.names_in(source)}
     if names & {"mu", "friction"} and names & {"W", "M"}:
         return FrictionalContact
     if "cone_kinds" in names:
@@ -459,9 +437,7 @@ def _built(source: Path, problem_class: type, arrays: Mapping[str, Any]) -> Any:
     for argument, choices in names.items():
         present = [name for name in choices if name in arrays]
         if len(present) > 1:
-            raise UnreadableFile(
-                f"{source} holds {' and '.join(present)}, which are two names for one thing; leave one of them out"
-            )
+            raise UnreadableFile(f"{source} holds {' and '.join(present)} for one thing; drop one")
         if present:
             array = arrays[present[0]]
             content[argument] = array.item() if argument in NUMBERS and array.size == 1 else array
@@ -474,9 +450,7 @@ def _stated(source: Path, problem_class: type, build: Callable[[], Any]) -> Any:
     try:
         return build()
     except MemoryError as error:
-        raise UnreadableFile(
-            f"{source} states a problem too large for the memory ({error})"
-        ) from error
+        raise UnreadableFile(f"{source} is too large for the memory ({error})") from error
     except (InvalidProblem, ValueError, LookupError, TypeError) as error:
         raise UnreadableFile(f"{source} states no {problem_class.__name__}: {error}") from error
 
@@ -501,9 +475,9 @@ def _read(source: Path, needed: type | None = None) -> Any:
     if suffix in HDF5:
         return load_fclib(source)
     if suffix == MARKET:
-        return _built(source, problem_class, market_arrays(source))
+        return _built(source, problem_class, files.market_arrays(source))
     wanted = {name for names in LAYOUTS[problem_class].names.values() for name in names}
-    return _built(source, problem_class, arrays_in(source, wanted))
+    return _built(source, problem_class, files.arrays_in(source, wanted))
 
 
 def load_lcp(path: str | PathLike[str]) -> LCP:
@@ -545,8 +519,7 @@ def load_problem(path: str | PathLike[str]) -> Any:
     problem = _read(checked_path(path))
     if getattr(problem, "sense", 1.0) < 0.0:
         warn(
-            f"{path} maximizes; the problem returned minimizes the objective with the other sign, and results state "
-            "the objective of the file"
+            f"{path} maximizes; the problem returned minimizes minus the objective, results state the one of the file"
         )
     return problem
 
@@ -556,7 +529,7 @@ def load_problem(path: str | PathLike[str]) -> Any:
 
 def _from_mps(source: Path) -> QuadraticProgram:
     if not source.is_file():
-        raise UnreadableFile(f"no such file: {source}{in_folder(source)}")
+        raise UnreadableFile(f"no such file: {source}{files.in_folder(source)}")
     read, remarks = read_lp if source.suffix.lower() == ".lp" else read_mps, list[str]()
     sign, names, integers, parts = _stated(source, QuadraticProgram, lambda: read(source, remarks))
     if integers:
@@ -575,9 +548,7 @@ def read_lp(source: Path, remarks: list[str]) -> Read:
     try:
         import highspy
     except ImportError as error:
-        raise UnreadableFile(
-            f"{source} is read by HiGHS; install it with: pip install highspy"
-        ) from error
+        raise UnreadableFile(f"reading {source} needs HiGHS: pip install highspy") from error
 
     class QuietHighs(highspy.Highs):
         """HiGHS without its banner, which the constructor prints when callbacks are switched on."""

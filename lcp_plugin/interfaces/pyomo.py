@@ -34,9 +34,7 @@ from .nl.reading import NLContent, read_content
 
 KINDS = "Block Constraint Expression ExternalFunction Objective Param RangeSet Set Suffix Var"
 KNOWN = {Complementarity, Port} | {getattr(core, kind) for kind in KINDS.split()}
-INTEGERS = (
-    "apply gdp.bigm or gdp.hull and a solver for integers, or state the cases as complementarities"
-)
+INTEGERS = "apply gdp.bigm or gdp.hull and a solver for integers, or state the cases as pairs"
 INSTEAD = {
     **dict.fromkeys(("Disjunct", "Disjunction", "SOSConstraint", "LogicalConstraint"), INTEGERS),
     "BooleanVar": INTEGERS,
@@ -44,6 +42,7 @@ INSTEAD = {
     "DerivativeVar": "discretise it, TransformationFactory('dae.collocation'), and add complementarities afterwards",
 }
 DISCRETISED = "DerivativeVar"  # these never report as active
+UNCHANGED = "linear_presolve", "scale_model", "skip_trivial_constraints"  # options that are off
 IN_ORDER = core.SortComponents.deterministic
 
 
@@ -106,9 +105,7 @@ def sides_of(stated: Any) -> list[PairSide]:
         If the pair has not exactly two finite bounds, or a bound that is not constant.
     """
     if getattr(stated, "_args", None) is None:
-        raise UnsupportedModel(
-            f"{stated.name} has no sides; give it complements(x >= 0, F >= 0), or deactivate it"
-        )
+        raise UnsupportedModel(f"{stated.name} has no sides; write complements(x >= 0, F >= 0)")
     sides = [_side(argument, stated) for argument in stated._args]
     equations, bounds = [side.is_equation for side in sides], [side.bounds for side in sides]
     if any(equations):
@@ -127,19 +124,14 @@ def sides_of(stated: Any) -> list[PairSide]:
 
 def _side(argument: object, stated: Any) -> PairSide:
     if argument is None or isinstance(argument, (bool, str)):
-        raise UnsupportedModel(
-            f"a side of {stated.name} is {argument!r}; it needs an expression of variables"
-        )
+        raise UnsupportedModel(f"a side of {stated.name} is {argument!r}; write an expression")
     if np.any(getattr(argument, "_strict", False)):
         raise UnsupportedModel(f"a side of {stated.name} is strict, {argument}; write <= or >=")
     lower, body, *upper = stated._canonical_expression(argument)  # two parts of an equation
     ends = [lower, *upper] if upper else [lower, lower]
     for end in ends:
         if not (end is None or cannot_vary(end)):
-            raise UnsupportedModel(
-                f"a bound of {stated.name} is {end}, which varies; state the difference: "
-                "complements(body - bound >= 0, …)"
-            )
+            raise UnsupportedModel(f"the bound {end} of {stated.name} varies; bound the difference")
     low, high = infinite_if_absent(*ends)
     return PairSide(low, body, high)
 
@@ -259,9 +251,7 @@ def statement_of(model: Any, pairs: list[Any] | None = None) -> PyomoStatement:
         kind = type(model).__name__
         raise UnsupportedModel(f"a Pyomo model or block is needed, got {kind}; solve a model")
     if not model.is_constructed():
-        raise UnsupportedModel(
-            "the model is abstract and holds no data yet; solve model.create_instance(…)"
-        )
+        raise UnsupportedModel("an abstract model has no data; solve model.create_instance(…)")
     _require_known(model)
     active = partial(model.component_data_objects, active=True, descend_into=True, sort=IN_ORDER)
     conditions, constraints = [*active(Complementarity)], [*active(core.Constraint)]
@@ -292,12 +282,8 @@ def _require_known(model: Any) -> None:
             unknown[kind] = list(model.component_objects(kind))
     for kind, components in sorted(unknown.items(), key=lambda each: each[0].__name__):
         names = ", ".join(component.name for component in components[:MOST_NAMES])
-        instead = INSTEAD.get(
-            kind.__name__, "deactivate it, or state it as constraints and complementarities"
-        )
-        raise UnsupportedModel(
-            f"{kind.__name__} is not taken, and the model has {names}; {instead}"
-        )
+        instead = INSTEAD.get(kind.__name__, "deactivate it, or state it as constraints and pairs")
+        raise UnsupportedModel(f"{kind.__name__} is not taken; the model has {names}; {instead}")
 
 
 class _Draft:
@@ -375,9 +361,7 @@ class _Draft:
         variables = list(information.variables)
         rows = [self.states.get(row, row) for row in information.constraints]
         if not variables:
-            raise UnsupportedModel(
-                "no active constraint, objective or complementarity has a free variable"
-            )
+            raise UnsupportedModel("no active constraint, objective or pair has a free variable")
         names = [self.named.get(variable) or variable.name for variable in variables]
         stated = (getattr(row, "stated", row) for row in rows)
         row_names = [getattr(component, "name", component) for component in stated]
@@ -392,19 +376,13 @@ class _Draft:
         with TemporaryDirectory() as folder:
             path = Path(folder) / "model.nl"
             with path.open("w", newline="", encoding="utf-8") as file:
+                options: dict[str, Any] = dict.fromkeys(UNCHANGED, False)
+                options["export_nonlinear_variables"] = exported or None
                 try:
-                    information = NLWriter().write(
-                        self.model,
-                        file,
-                        linear_presolve=False,
-                        scale_model=False,
-                        skip_trivial_constraints=False,
-                        export_nonlinear_variables=exported or None,
-                    )
+                    information = NLWriter().write(self.model, file, **options)
                 except InvalidValueError as error:
-                    raise InvalidProblem(
-                        f"numbers of a model must be finite: {' '.join(str(error).split())}"
-                    ) from error
+                    fault = " ".join(str(error).split())
+                    raise InvalidProblem(f"numbers of a model must be finite: {fault}") from error
             return read_content(path), information
 
     def _paired(self, content: NLContent, variables: list[Any], rows: list[Any]) -> NLContent:
@@ -542,6 +520,7 @@ def suffix_of(model: Any, name: str) -> Any:
 # --- The pairs of square models ------------------------------------------------------------------------------------
 
 Family = dict[Any, Any]  # members of a component by their indices, in blocks too
+Match = tuple[Family, Family]  # rows and their variables
 
 
 def square_pairs(constraints: list[Any], pairs: Any) -> list[tuple[Any, Any]]:
@@ -559,9 +538,7 @@ def square_pairs(constraints: list[Any], pairs: Any) -> list[tuple[Any, Any]]:
         Naming constraints and variables that have no match, or several.
     """
     if pairs != "match" and not isinstance(pairs, Mapping):
-        raise InvalidOption(
-            f"pairs must be 'match' or a ComponentMap from constraints to variables, got {pairs!r}"
-        )
+        raise InvalidOption(f"pairs must be 'match' or {{constraint: variable}}, got {pairs!r}")
     matched = [] if pairs == "match" else [*single_pairs(pairs)]
     owners, partners = ComponentMap(), ComponentMap()
     for row, variable in matched:
@@ -600,9 +577,7 @@ def single_pairs(pairs: Mapping[Any, Any]) -> Iterator[tuple[Any, Any]]:
         for index in rows if rows.is_indexed() else (None,):
             row = rows[index] if rows.is_indexed() else rows
             if variables.is_indexed() and index not in variables:
-                raise UnsupportedModel(
-                    f"pairs gives {row.name} no variable: {variables.name} has no index {index}"
-                )
+                raise UnsupportedModel(f"{variables.name} has no index {index} for {row.name}")
             if row.active:
                 yield row, variables[index] if variables.is_indexed() else variables
 
@@ -638,7 +613,7 @@ def _may_belong(rows: Family, variables: Family) -> bool:
     )
 
 
-def _choices(rows: list[Family], variables: list[Family]) -> Iterator[tuple[Family, list[Any]]]:
+def _choices(rows: list[Family], variables: list[Family]) -> Iterator[tuple[Family, list[Match]]]:
     """Yield each family with inequalities, or of variables with bounds, and its possible matches."""
     for row in rows:
         if not all(member.equality for member in row.values()):
@@ -649,10 +624,7 @@ def _choices(rows: list[Family], variables: list[Family]) -> Iterator[tuple[Fami
 
 
 def _refuse_match(
-    family: Family,
-    matches: list[tuple[Family, Family]],
-    variables: list[Family],
-    rows: list[Family],
+    family: Family, matches: list[Match], variables: list[Family], rows: list[Family]
 ) -> NoReturn:
     """Raise UnsupportedModel, naming a variable without a row, or a family with no match or several."""
     for key, variable in (pair for members in variables for pair in members.items()):
@@ -662,10 +634,7 @@ def _refuse_match(
             )
     name = _name(family)
     if others := [_name(first if second is family else second) for first, second in matches]:
-        raise UnsupportedModel(
-            f"{name} may belong to {listed(others)}; state which: pairs=ComponentMap({{model.market: "
-            "model.price}), with the constraint first"
-        )
+        raise UnsupportedModel(f"{name} may belong to {listed(others)}; state which by pairs=…")
     raise UnsupportedModel(
         f"{name} has no partner with the same indices (for an inequality, a variable with bounds); state its pairs"
     )
@@ -688,13 +657,10 @@ def _require_full_rank(constraints: list[Any], pairs: list[tuple[Any, Any]]) -> 
     pattern = sp.lil_array((len(rows), len(variables)))
     for i, row in enumerate(rows):
         pattern[i, [place[part] for part in inside[row] if part in place]] = 1.0
-    for named, matrix, words in (
-        (rows, pattern, "constraint {} would need the variable of another one"),
-        (variables, pattern.T, "variable {} would need the constraint of another one"),
-    ):
+    sides = (rows, pattern, "constraint {}"), (variables, pattern.T, "variable {}")
+    for named, matrix, one in sides:
         partners = maximum_bipartite_matching(sp.csr_array(matrix), perm_type="column")
         for k in np.flatnonzero(partners < 0)[:1]:
             raise UnsupportedModel(
-                f"the model is structurally singular: {words.format(named[k].name)}; see whether a constraint is "
-                "missing or redundant, or a pair is wrong"
+                f"the model is structurally singular: {one.format(named[k].name)} would need the partner of another"
             )

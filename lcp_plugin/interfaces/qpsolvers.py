@@ -39,17 +39,12 @@ def register_with_qpsolvers() -> None:
     >>> solve_qp(2 * np.eye(2), np.array([-2.0, -4.0]), np.array([[1.0, 1.0]]), np.array([2.0]), solver="lcp_plugin")
     array([0.5, 1.5])
     """
-    try:
-        from qpsolvers import available_solvers, dense_solvers, sparse_solvers
+    package = errors.imported("qpsolvers", "register_with_qpsolvers needs qpsolvers", "qpsolvers")
+    # The table that solve_problem reads: up to qpsolvers 4.9, not the table of qpsolvers.solvers.
+    from qpsolvers.solve_problem import solve_function
 
-        # The table that solve_problem reads: up to qpsolvers 4.9, not the table of qpsolvers.solvers.
-        from qpsolvers.solve_problem import solve_function
-    except ImportError as error:
-        raise ImportError(
-            "register_with_qpsolvers needs qpsolvers; install it with: pip install qpsolvers (or lcp_plugin[qpsolvers])"
-        ) from error
     solve_function[NAME] = solve_problem
-    for names in (available_solvers, dense_solvers, sparse_solvers):
+    for names in (package.available_solvers, package.dense_solvers, package.sparse_solvers):
         if NAME not in names:
             names.append(NAME)
 
@@ -121,8 +116,6 @@ def _program(problem: Problem) -> QuadraticProgram:
     """Return the program, with qpsolvers' names of the vectors in error messages."""
     P, q, G, h, A, b, lower, upper = problem.unpack()
     q = checked_vector(q, "q", None)
-    below, above = (
-        default if bound is None else checked_bound(bound, name, q.size)
-        for bound, name, default in ((lower, "lb", -np.inf), (upper, "ub", np.inf))
-    )
+    ends = (lower, "lb", -np.inf), (upper, "ub", np.inf)
+    below, above = (far if x is None else checked_bound(x, name, q.size) for x, name, far in ends)
     return QuadraticProgram(P, q, G, h, A, b, below, above)

@@ -38,9 +38,8 @@ from ..problems.statement import STATUS_ELSEWHERE
 LONGEST_NAME = 80  # characters of a constraint in a message
 # in a text of cvxpy: an array of numbers, or an end that is cut
 NUMBERS = re.compile(r"\[ *-?\d+\.|…$")
-ATOMS = re.compile(
-    r"(?:Promote|reshape)\((\w[\w.]*), \([\d, ]*\)(?:, F)?\)|(Power|Pnorm)Approx"
-)  # private
+# names of atoms that are private
+ATOMS = re.compile(r"(?:Promote|reshape)\((\w[\w.]*), \([\d, ]*\)(?:, F)?\)|(Power|Pnorm)Approx")
 WHOLE_SUM = re.compile(r"Sum\(([^(),]*), None, False\)")  # cvxpy's text of sum(x)
 
 
@@ -59,14 +58,10 @@ SELECTION = (index, special_index, Wrap)
 KEEP_SPARSE: tuple[Any, ...] = (*SUM, *NEGATIVE, *MATRIX_PRODUCT, *ENTRY_SUM)
 
 #: Atoms whose every entry is an entry of an argument, or zero.
-GATHERS = (
-    *(*SELECTION, *BROADCAST, *TRANSPOSE, *STACKS, diag_mat, diag_vec),
-    *(cp.reshape, Concatenate, cp.upper_tri, cp.real, cp.conj),
-)
-NONSMOOTH = (
-    *(cp.abs, cp.maximum, cp.minimum, cp.huber, cp.max, cp.min, cp.norm1, cp.norm_inf),
-    *(Pnorm, cp.sum_largest),
-)
+MOVES = diag_mat, diag_vec, cp.reshape, Concatenate, cp.upper_tri, cp.real, cp.conj
+GATHERS = (*SELECTION, *BROADCAST, *TRANSPOSE, *STACKS, *MOVES)
+EXTREMES = cp.max, cp.min, cp.maximum, cp.minimum, cp.norm_inf, cp.sum_largest
+NONSMOOTH = (*EXTREMES, cp.abs, cp.huber, cp.norm1, Pnorm)
 #: Atoms with a graph of inequalities, and the functions of (atom, arguments) that return value and inequalities.
 KINKS = {atom: graph for atom, graph in CANON_METHODS.items() if atom is not cp.cumsum}
 
@@ -119,9 +114,7 @@ def constant_numeric(node: cp.Expression, values: list[Any]) -> Any:
     elif isinstance(node, DIVISION) and uniform(values[1]):
         value = values[0] / uniform(values[1])
     elif type(node) in STACKS and len(node.shape) == 2:
-        value = STACKS[type(node)](
-            [part if sp.issparse(part) else np.atleast_2d(part) for part in values]
-        )
+        value = STACKS[type(node)]([v if sp.issparse(v) else np.atleast_2d(v) for v in values])
     elif isinstance(node, SELECTION):
         # Sparse arrays of scipy 1.12 do not give single rows; sparse matrices do.
         value = node.numeric([sp.csr_matrix(part) for part in values])
@@ -134,8 +127,7 @@ def constant_numeric(node: cp.Expression, values: list[Any]) -> Any:
     array: NDArray[Any] = np.asarray(dense(value))
     if array.size != node.size:
         raise UnsupportedModel(
-            f"{name_of(node)} has the shape {node.shape}, but its value has {array.shape}: this release of cvxpy "
-            "misjudges it; write it in another way"
+            f"{name_of(node)} has the shape {node.shape}, but its value {array.shape}; write it in another way"
         )
     return array.reshape(node.shape, order="F")
 
@@ -228,14 +220,10 @@ def bound_value(bound: Any, owner: object) -> Any:
     is_expression = isinstance(bound, cp.Expression)
     if is_expression and (bound.variables() or bound.value is None):
         what = "contains a variable" if bound.variables() else "has no value"
-        raise UnsupportedModel(
-            f"the bound {bound} of {owner} {what}; a bound is a number, or a parameter whose value is set first"
-        )
+        raise UnsupportedModel(f"the bound {bound} of {owner} {what}; set a number or its value")
     array = np.asarray(dense(bound.value if is_expression else bound))
     if array.dtype.kind not in "fiub" or np.isnan(array).any():
-        raise UnsupportedModel(
-            f"a bound of {owner} must be real numbers, ±inf for none, got {bound!r}"
-        )
+        raise UnsupportedModel(f"a bound of {owner} must be real, ±inf for none, got {bound!r}")
     return array.astype(np.float64)
 
 
@@ -245,12 +233,9 @@ CVXPY_STATUS = {status: words[1] for status, words in STATUS_ELSEWHERE.items()}
 
 def statistics(result: Any) -> dict[str, Any]:
     """Return cvxpy's record of a run, without the values."""
-    return {
-        settings.SOLVE_TIME: result.seconds,
-        settings.SETUP_TIME: getattr(result, "setup_seconds", None),
-        settings.NUM_ITERS: result.iterations,
-        settings.EXTRA_STATS: result,
-    }
+    setup = getattr(result, "setup_seconds", None)
+    times = {settings.SOLVE_TIME: result.seconds, settings.SETUP_TIME: setup}
+    return times | {settings.NUM_ITERS: result.iterations, settings.EXTRA_STATS: result}
 
 
 EQUATIONS = (Equality, Zero)
@@ -283,19 +268,15 @@ def why_not(problem: cp.Problem) -> list[str]:
             if np.any(variable.attributes[attribute]):
                 reasons.append(f"variable {variable.name()} is {attribute}")
         if variable.is_complex():
-            reasons.append(
-                f"variable {variable.name()} is complex; give its real and imaginary part a variable each"
-            )
+            reasons.append(f"variable {variable.name()} is complex; take real and imaginary part")
     for constraint in problem.constraints:
         if isinstance(constraint, INEQUALITIES):
             if not expression_of(constraint).is_pwl():
                 reasons.append(f"constraint {name_of(constraint)} is not piecewise linear")
         elif not isinstance(constraint, EQUATIONS):
             reasons.append(f"constraint {name_of(constraint)} is a {type(constraint).__name__}")
-    if not problem.objective.args[0].is_qpwa():
-        reasons.append(
-            f"the objective {name_of(problem.objective.args[0])} is not quadratic or piecewise linear"
-        )
+    if not (goal := problem.objective.args[0]).is_qpwa():
+        reasons.append(f"the objective {name_of(goal)} is not quadratic or piecewise linear")
     return reasons
 
 

@@ -18,23 +18,8 @@ from ..core.checks import Vector
 from ..core.errors import UnsupportedModel
 from ..expressions import functions
 from ..expressions.rows import Indices, Rows, as_matrix, assembled, is_definition
-from ._compat import (
-    EQUATIONS,
-    KINKS,
-    NONSMOOTH,
-    attribute_bounds,
-    attribute_expressions,
-    by_columns,
-    by_id,
-    dense,
-    entry_of,
-    expression_of,
-    name_of,
-    postorder,
-    row_of,
-    sense_of,
-    stored_entries,
-)
+from . import _compat as compat
+from ._compat import EQUATIONS, by_columns, by_id, dense, name_of
 from .constraint import Complements, box
 from .model import Side, spans_of
 from .reading import Reader, rewritten
@@ -50,13 +35,13 @@ def _name_of_optimality(entries: list[Any], k: int) -> str:
     """Return the name of the row of decision k: optimality of output[0]."""
     for variable, columns in entries:
         if k < columns.size:
-            return f"optimality of {entry_of(variable, columns[k])}"
+            return f"optimality of {compat.entry_of(variable, columns[k])}"
         k -= columns.size
     return ""
 
 
 #: Atoms with kinks, and functions that return their epigraphs: a value, and inequalities.
-GRAPHS = {**KINKS, cp.huber: _huber}
+GRAPHS = {**compat.KINKS, cp.huber: _huber}
 
 
 def _positive_power(u: Vector, p: float) -> Any:
@@ -138,8 +123,9 @@ class StandardRows(NamedTuple):
         UnsupportedModel
             If data are NaN or infinite, except for entries of one side of an inequality that then always hold.
         """
-        expression, is_equation = expression_of(constraint), isinstance(constraint, EQUATIONS)
         kept: Any = slice(None)
+        expression: Any = compat.expression_of(constraint)
+        is_equation = isinstance(constraint, EQUATIONS)
         for k, side in enumerate(constraint.args if isinstance(constraint, Inequality) else ()):
             if side.variables() or side.parameters() or not np.isinf(dense(side.value)).any():
                 continue
@@ -152,7 +138,7 @@ class StandardRows(NamedTuple):
         if not expression.size:
             return []
         for leaf in (*expression.constants(), *expression.parameters()):
-            if leaf.value is not None and not np.isfinite(stored_entries(leaf.value)).all():
+            if leaf.value is not None and not np.isfinite(compat.stored_entries(leaf.value)).all():
                 named = f"the parameter {leaf.name()} of " if isinstance(leaf, cp.Parameter) else ""
                 raise UnsupportedModel(
                     f"{named}{name_of(constraint)} in an agent's program is not finite; only a constant side of an "
@@ -207,14 +193,13 @@ class AgentProgram:
 
         def change(node: cp.Expression) -> Any:
             graph = GRAPHS.get(type(node))
-            is_smooth = graph is None and not isinstance(node, NONSMOOTH)
+            is_smooth = graph is None and not isinstance(node, compat.NONSMOOTH)
             if is_smooth or self.decision_ids.isdisjoint(by_id(node.variables())):
                 return node
             if graph is None:
                 raise UnsupportedModel(
                     f"{name_of(node)} in an agent's program has no epigraph of linear inequalities; write a norm as "
-                    "cp.sum_squares(x) <= t**2 with a constant t, or as cp.sqrt(cp.sum_squares(x) + 1e-9) with "
-                    'check="local"'
+                    'cp.sum_squares(x) <= t**2, t constant, or cp.sqrt(cp.sum_squares(x) + 1e-9) with check="local"'
                 )
             value, inequalities = graph(node, node.args)
             for part in (value, *inequalities):
@@ -256,7 +241,7 @@ class AgentProgram:
 
     def _state(self) -> None:
         """Read the constraints; write the pairs of multipliers, and of decisions with the gradient."""
-        sense = cp.Constant([sense_of(self.agent.program)])
+        sense = cp.Constant([compat.sense_of(self.agent.program)])
         weighted: list[tuple[Rows, Any]] = [(self.reader.rows(self.goal), sense)]
         read = [(standard, self.reader.rows(standard.expression)) for standard in self.standard]
         others = [row for row in read if not self._add_bound(*row)]
@@ -265,7 +250,7 @@ class AgentProgram:
             self._add_bound(*row)  # may imply other conditions
         inside = [row for condition in self.domain for row in self._inside(condition)]
         for standard, rows in others + [row for row in inside if self._simple(*row) is None]:
-            stated = partial(row_of, standard.expression, constraint=standard.origin)
+            stated = partial(compat.row_of, standard.expression, constraint=standard.origin)
             name = f"multiplier of {getattr(standard.origin, 'label', None) or name_of(standard.origin)}"
             multiplier = cp.Variable(standard.expression.shape, name=name)
             if standard.origin.id in self.agent.shared:
@@ -341,10 +326,8 @@ class AgentProgram:
                 slopes = function_of(function.name)[1](result, *values)
                 for rows, slope in zip(arguments, slopes, strict=True):
                     distribute(rows, cp.multiply(sum(adjoints[key]), slope))
-        total = {
-            key: sum(adjoints[key], cp.Constant(np.zeros(variable.size)))
-            for key, variable in self.variables.items()
-        }
+        zeros = {key: cp.Constant(np.zeros(v.size)) for key, v in self.variables.items()}
+        total = {key: sum(adjoints[key], zero) for key, zero in zeros.items()}
         return joined([total[variable.id][columns] for variable, columns in self.entries])
 
     @property
@@ -382,9 +365,9 @@ class AgentProgram:
         for variable, columns in self.entries:
             stated = variable.attributes.get("bounds") or ()
             is_symbolic = any(isinstance(part, cp.Expression) for part in stated)
-            ends = (attribute_expressions if is_symbolic else attribute_bounds)(variable)
+            read = compat.attribute_expressions if is_symbolic else compat.attribute_bounds
             places = self.place[self.first[variable.id] + columns]
-            for sign, end in zip((-1.0, 1.0), ends, strict=True):
+            for sign, end in zip((-1.0, 1.0), read(variable), strict=True):
                 whole = end + np.zeros(variable.shape)
                 bound = (vector_of if is_symbolic else by_columns)(whole)[columns]
                 bounds.append(SimpleBound(None, places, np.full(columns.size, sign), bound))
@@ -395,10 +378,8 @@ class AgentProgram:
         stated, (count, ends) = [*self._of_attributes, *self.bounds], self._read_ends
         for bound in stated[count:]:
             if not isinstance(bound.end, cp.Expression):
-                values, is_upper = (
-                    np.broadcast_to(bound.end, bound.weights.shape),
-                    bound.weights > 0.0,
-                )
+                is_upper = bound.weights > 0.0
+                values = np.broadcast_to(bound.end, is_upper.shape)
                 np.maximum.at(ends[0], bound.places[~is_upper], values[~is_upper])
                 np.minimum.at(ends[1], bound.places[is_upper], values[is_upper])
         self._read_ends = len(stated), ends
@@ -484,7 +465,7 @@ class Domain(NamedTuple):
 
 def domain_of(roots: Sequence[Any], decision_ids: set[int]) -> list[Domain]:
     """Return the conditions on the agent's variables under which expressions are defined, as y >= 0 of log(y), y**3."""
-    return [domain for node in postorder(roots) for domain in _node_domain(node, decision_ids)]
+    return [part for node in compat.postorder(roots) for part in _node_domain(node, decision_ids)]
 
 
 def _node_domain(node: cp.Expression, decision_ids: set[int]) -> list[Domain]:
@@ -493,11 +474,8 @@ def _node_domain(node: cp.Expression, decision_ids: set[int]) -> list[Domain]:
     if not node.args or exponent is None or decision_ids.isdisjoint(by_id(node.variables())):
         return []
     is_steep = not (isinstance(node, cp.xexp) or np.all(exponent > 1.0))
-    return [
-        Domain(condition, is_steep)
-        for condition in node._domain()
-        if not decision_ids.isdisjoint(by_id(condition.variables()))
-    ]
+    conditions = (c for c in node._domain() if not decision_ids.isdisjoint(by_id(c.variables())))
+    return [Domain(condition, is_steep) for condition in conditions]
 
 
 def violated_domain(roots: Sequence[Any], decision_ids: set[int]) -> Any:
@@ -527,7 +505,7 @@ def uninfluenced(roots: Sequence[Any], decision_ids: Collection[int]) -> list[An
     moving: set[int] = set()
     influenced: set[int] = set()
     largest: dict[int, Any] = {}
-    for node in postorder(roots):
+    for node in compat.postorder(roots):
         below = [id(argument) for argument in node.args]
         if isinstance(node, (cp.Variable, cp.Parameter)) or not moving.isdisjoint(below):
             moving.add(id(node))

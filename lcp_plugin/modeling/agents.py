@@ -70,10 +70,7 @@ def optimal(program: Any, over: object, *, shared: Any = (), check: str = "conve
     ([2.0, 3.5, 1.5], True)
     """
     if not isinstance(program, cp.Problem):
-        raise UnsupportedModel(
-            f"optimal needs the agent's program as a cvxpy problem, got {type(program).__name__}; write "
-            "cp.Problem(cp.Maximize(…), […])"
-        )
+        raise UnsupportedModel(f"optimal needs a cvxpy problem, got {type(program).__name__}")
     if check not in ("convex", "local"):
         raise InvalidOption(f'check must be "convex" or "local", got {check!r}')
     return _agent(program, over, shared, check)
@@ -91,18 +88,14 @@ def variational_inequality(F: object, over: object, constraints: list[Any]) -> O
     shapes = [[part.shape for part in parts] for parts in (functions, decisions)]
     if shapes[0] != shapes[1]:
         raise UnsupportedModel(
-            f"variational needs one expression F of the shape of each variable in over=[…], got F of "
-            f"{', '.join(map(str, shapes[0]))} and over of {', '.join(map(str, shapes[1])) or 'no variable'}; write "
-            "variational(F, over=[x], constraints=[…])"
+            "variational needs one F of the shape of each variable in variational(F, over=[x]), got F of "
+            f"{', '.join(map(str, shapes[0]))} and over of {', '.join(map(str, shapes[1])) or 'no variable'}"
         )
     if (rows := _listed(constraints, Constraint)) is None:
-        raise UnsupportedModel(
-            f"constraints must be a list of cvxpy constraints, got {constraints!r}; write constraints=[G @ x <= h]"
-        )
+        raise UnsupportedModel(f"constraints must be a list as [G @ x <= h], got {constraints!r}")
     terms = [cp.sum(cp.multiply(*pair)) for pair in zip(functions, decisions, strict=True)]
-    return _agent(
-        cp.Problem(cp.Minimize(sum(terms)), rows), decisions, (), "convex", joined(functions)
-    )
+    program = cp.Problem(cp.Minimize(sum(terms)), rows)
+    return _agent(program, decisions, (), "convex", joined(functions))
 
 
 def _agent(program: Any, over: object, shared: object, check: str, F: object = None) -> Optimal:
@@ -127,19 +120,15 @@ def _agent(program: Any, over: object, shared: object, check: str, F: object = N
     known = by_id(program.variables())
     for variable in (variable for decision in decisions for variable in decision.variables()):
         if variable.id not in known:
-            raise UnsupportedModel(
-                f"over has {variable.name()}, which does not occur in the program; list decisions of this agent"
-            )
+            raise UnsupportedModel(f"over has {variable.name()}, not a variable of the program")
         if tie := restricting_attribute(variable):
             raise UnsupportedModel(
-                f"over has {variable.name()} with the attribute {tie!r}: such decisions have no optimality conditions; "
-                "relax it, or let the outer problem decide it"
+                f"over has {variable.name()} with the attribute {tie!r}: it has no optimality conditions; relax it"
             )
     for constraint in listed:
         if all(constraint is not stated for stated in program.constraints):
             raise UnsupportedModel(
-                f"shared has {name_of(constraint)}, which is not a constraint of the program; list the same "
-                "object in both"
+                f"shared has {name_of(constraint)}, not in the program; list it in both"
             )
     return Optimal(program, decisions, frozenset(constraint.id for constraint in listed), check, F)
 
@@ -158,21 +147,15 @@ def entries_of(expression: cp.Expression) -> tuple[Any, Indices]:
         block = as_matrix(rows.blocks[variables[0].id], rows.size)
         if is_definition(block) and (block.data == 1.0).all():
             return variables[0], block.indices.astype(np.int64)
-    raise UnsupportedModel(
-        f"over has {name_of(expression)}, which is neither a variable nor entries of one; list variables, or x[i]"
-    )
+    raise UnsupportedModel(f"over needs variables or entries of them, got {name_of(expression)}")
 
 
 def check_different(entries: Iterable[tuple[Any, Indices]]) -> None:
     """Raise UnsupportedModel if an entry of a variable is listed twice as a decision."""
-    listed = Counter(
-        (variable.id, variable.name(), k) for variable, columns in entries for k in columns.tolist()
-    )
+    listed = Counter((v.id, v.name(), k) for v, columns in entries for k in columns.tolist())
     for (_, name, _), count in listed.items():
         if count > 1:
-            raise UnsupportedModel(
-                f"over=[…] lists {name} twice; list each variable, or entry of one, once, in over=[…] of one agent"
-            )
+            raise UnsupportedModel(f"over=[…] lists {name} twice; list each in one over=[…]")
 
 
 class Optimal(Condition):
@@ -191,12 +174,7 @@ class Optimal(Condition):
     """
 
     def __init__(
-        self,
-        program: Any,
-        decisions: Sequence[Any],
-        shared: frozenset[int],
-        check: str,
-        F: object = None,
+        self, program: Any, decisions: Any, shared: frozenset[int], check: str, F: object = None
     ) -> None:
         self.program, self.decisions, self.shared, self.check = program, decisions, shared, check
         self.F = F
@@ -261,9 +239,7 @@ class Optimal(Condition):
             If a variable has no value yet.
         """
         if any(variable.value is None for variable in self.program.variables()):
-            raise ValueError(
-                "cannot compute the gap of an agent whose variables have no values; solve the problem first"
-            )
+            raise ValueError("variables of the agent have no values; solve the problem first")
         return possible_gain(self)
 
     def describe_gap(self) -> str:
@@ -332,14 +308,10 @@ def _check_program(agent: Optimal, rules: Convexity) -> None:
     for row in stated if agent.F is not None else (goal, *stated):
         if rules.hold(row, agent.entries):
             continue
-        fault = (
-            f"{name_of(row.expression)} in {agent!r} is not known to be {'affine' if row.is_equation else 'convex'} in "
-            "the agent's decisions"
-        )
+        kind = "affine" if row.is_equation else "convex"
+        fault = f"{name_of(row.expression)} in {agent!r} is not known to be {kind} in its decisions"
         if has_kinks:
-            raise UnsupportedModel(
-                f"{fault}, and the program has terms that are not smooth; write it by cvxpy's rules of convexity"
-            )
+            raise UnsupportedModel(f"{fault}, and it is not smooth; use cvxpy's rules of convexity")
         warn(
             f"{fault}, so that its optimality conditions are only necessary; check gap() after the solve, and write "
             'check="local" to accept them'
@@ -352,9 +324,7 @@ def _check_shared(constraint: cp.Constraint, agents: Sequence[Optimal], rules: C
     if not (rows := StandardRows.of(constraint)):
         return
     inside = rules.unknowns_in(rows[0].expression)
-    involved = [
-        agent for agent in agents if not inside.isdisjoint(rules.unknowns_of(agent.entries))
-    ]
+    involved = [one for one in agents if not inside.isdisjoint(rules.unknowns_of(one.entries))]
     if others := [agent for agent in involved if constraint.id not in agent.shared]:
         raise UnsupportedModel(
             f"the shared constraint {name_of(constraint)} holds decisions of {others[0]!r}, which does not share it; "
@@ -417,10 +387,9 @@ class Convexity:
                 quadratic.append([factor * hessian for hessian in hessians])
             elif not (factor * rewritten(term, change)).is_convex():
                 return False
-        return all(
-            QuadraticProgram(sum(parts), np.zeros(len(columns))).matrices.is_nearly_semidefinite
-            for parts in zip(*quadratic, strict=True)
-        )
+        sums = map(sum, zip(*quadratic, strict=True))
+        programs = (QuadraticProgram(P, np.zeros(len(columns))) for P in sums)
+        return all(program.matrices.is_nearly_semidefinite for program in programs)
 
     def unknowns_of(self, entries: Sequence[Any]) -> list[int]:
         """Return the numbers of entries of variables."""

@@ -62,9 +62,7 @@ def stated_program(problem: cp.Problem, constraints: list[Any]) -> tuple[Equilib
     statement.integers = np.concatenate(whole)
     for constraint, row in zip(others, rows, strict=True):
         if not isinstance(constraint, (*compat.EQUATIONS, *compat.INEQUALITIES)):
-            raise UnsupportedModel(
-                f"the constraint {constraint} is neither an equation nor an inequality; write it as such"
-            )
+            raise UnsupportedModel(f"{constraint} must be an equation or an inequality")
         low = 0.0 if isinstance(constraint, (*compat.EQUATIONS, NonNeg)) else -np.inf
         high = np.inf if isinstance(constraint, NonNeg) else 0.0
         statement.constrain(model.reader.rows(row), low, high, row)

@@ -78,8 +78,7 @@ def friction_cone(impulses: object, friction: Any, *, dimension: int | None = No
     count = expression.size // rows
     if np.shape(friction) not in ((), (count,)):
         raise UnsupportedModel(
-            f"friction must be a number, or have shape ({count},): one per contact of {rows} rows, got "
-            f"{np.shape(friction)}"
+            f"friction must be a number or of shape ({count},), one per {rows} rows, got {np.shape(friction)}"
         )
     return Side(expression, "cone", friction=friction, rows=rows)
 
@@ -119,13 +118,9 @@ def complements(first: object, second: object) -> Complements:
     sides = [_side(first, "first"), _side(second, "second")]
     forms = {side.form for side in sides}
     if forms == {"zero"}:
-        raise UnsupportedModel(
-            "complements got two equalities; write two constraints, or pair one with a variable"
-        )
+        raise UnsupportedModel("complements got two equalities; write them as constraints")
     if "box" in forms and forms <= {"box", "zero"}:
-        raise UnsupportedModel(
-            "complements(box(x, l, u), F) needs an expression F as its other side"
-        )
+        raise UnsupportedModel("complements(box(x, l, u), F) needs an expression F as other side")
     if "cone" in forms:
         _require_cones(sides)
     if sides[0].expression.shape != sides[1].expression.shape:
@@ -161,8 +156,7 @@ def _side(stated: object, which: str) -> Side:
         return Side(expression, "cone", stated, rows=expression.shape[0])
     if isinstance(stated, Constraint):
         raise UnsupportedModel(
-            f"the {which} side of complements is {stated!r}; it must be an inequality, an equality, cp.SOC(t, x) or an "
-            "expression"
+            f"the {which} side of complements is {stated!r}; write <=, >=, ==, cp.SOC(t, x) or an expression"
         )
     return Side(_expression(stated, f"the {which} side of complements"), "value")
 
@@ -171,8 +165,7 @@ def _expression(stated: object, what: str) -> Any:
     """Return the argument as a cvxpy expression."""
     if not isinstance(stated, cp.Expression) and _dtype_letter(stated) == "b":
         raise UnsupportedModel(
-            f"{what} holds Booleans, {stated}: numbers were compared before this package saw them; write only "
-            "the numbers, or cp.Constant(numbers) >= 0"
+            f"{what} holds Booleans, {stated}: numbers were compared; write the numbers, or cp.Constant(numbers) >= 0"
         )
     expression = None
     if stated is not None:
@@ -215,9 +208,7 @@ class Condition(Constraint):  # type: ignore[misc]
         """
         residual = self.residual
         if residual is None:
-            raise ValueError(
-                "cannot measure a complementarity whose variables have no values; solve the problem first"
-            )
+            raise ValueError("variables of the complementarity have no values; solve first")
         return float(np.max(residual, initial=0.0))
 
     def value(self, tolerance: float = 1e-8) -> bool:

@@ -16,7 +16,6 @@ import numpy as np
 from cvxpy import settings
 from cvxpy.problems.problem import SolverStats
 from cvxpy.reductions.solution import Solution
-from numpy.typing import NDArray
 
 from ..core.checks import AnyMatrix, Vector, normalize_bounds
 from ..core.errors import NotSquare, UnsupportedModel, warn
@@ -24,9 +23,9 @@ from ..core.lcp import LCP
 from ..expressions.rows import Indices, Rows, as_matrix, is_definition
 from ..problems.cones.data import Blocks, ConeProblem
 from ..problems.cones.frictional_contact import FrictionalContact
-from ..problems.statement import SquareModel, Statement
+from ..problems.statement import SquareModel, Statement, name_of_row
 from . import _compat as compat
-from .reading import Reader
+from .reading import Memo, Reader
 
 
 @dataclass(frozen=True, eq=False)
@@ -71,9 +70,8 @@ class Side:
         """Return the bounds of a box, of an inequality or of the variable's attributes, in the shape of the side."""
         shape, lower, upper = self.expression.shape, -np.inf, np.inf  # type: Any, Any, Any
         if self.form == "box":
-            lower, upper = normalize_bounds(
-                compat.bound_value(self.lower, self), compat.bound_value(self.upper, self)
-            )
+            ends = [compat.bound_value(end, self) for end in (self.lower, self.upper)]
+            lower, upper = normalize_bounds(*ends)
         elif self.form == "nonnegative":
             lower = 0.0
         elif isinstance(self.expression, cp.Variable):
@@ -107,7 +105,7 @@ class ConePair:
         Coefficients if the slack follows Coulomb's law.
     """
 
-    columns: NDArray[np.int64]
+    columns: Indices
     rows: int
     friction: Vector | None
 
@@ -152,8 +150,7 @@ def over_cones(model: SquareModel, pairs: Sequence[ConePair], name: Any) -> Squa
     problem_rows = model.problem
     if not isinstance(problem_rows, LCP):
         raise UnsupportedModel(
-            "cones can be combined with affine sides only, and this model has nonlinear ones; write them as affine "
-            "expressions, or solve the nonlinear part separately"
+            "cones can be combined with affine sides only; write nonlinear ones as affine, or solve them apart"
         )
     kept = model.elimination.kept
     of_cones = np.searchsorted(kept, np.concatenate([pair.columns for pair in pairs]))
@@ -165,20 +162,14 @@ def over_cones(model: SquareModel, pairs: Sequence[ConePair], name: Any) -> Squa
         names = [name(column) for column in kept[others][:5].tolist()]
         raise UnsupportedModel(
             "a model with friction_cone has impulses as its only unknowns, and this one has also "
-            f"{', '.join(names or ['cones of another kind'])}; "
-            "write the velocities as u = W @ r + b, or as a chain of definitions"
+            f"{', '.join(names or ['cones of another kind'])}; write the velocities as u = W @ r + b, or by definitions"
         )
     box = [("box", problem_rows.lower[others], problem_rows.upper[others])] if others.size else []
     problem = cone_problem(problem_rows.csr[order][:, order], problem_rows.q[order], pairs, box)
     expansion = model.elimination.expansion[:, order]
-    return replace(
-        model,
-        problem=problem,
-        elimination=replace(model.elimination, kept=kept[order], expansion=expansion),
-        places=model.places[order],
-        signs=model.signs[order],
-        whole=None,
-    )
+    elimination = replace(model.elimination, kept=kept[order], expansion=expansion)
+    model = replace(model, problem=problem, elimination=elimination, whole=None)
+    return replace(model, places=model.places[order], signs=model.signs[order])
 
 
 @dataclass(eq=False)
@@ -238,11 +229,7 @@ class Model:
     """
 
     def __init__(
-        self,
-        stated: Sequence[Any],
-        memo: dict[Any, Any] | None = None,
-        *,
-        takes_integers: bool = False,
+        self, stated: Sequence[Any], memo: Memo | None = None, *, takes_integers: bool = False
     ) -> None:
         self.reader = Reader(memo, takes_integers=takes_integers)
         leaves = compat.by_id(variable for item in stated for variable in item.variables())
@@ -260,7 +247,8 @@ class Model:
         lower, upper = (end.copy() for end in self.declared)
         first = {key: span.start for key, span in self.spans.items()}
         # Without a reference to the model, which is freed at once: a cycle would wait for the collector.
-        name = partial(_name_of, self.variables, self.spans)
+        named: list[Any] = [(v.size, partial(compat.entry_of, v)) for v in self.variables]
+        name = partial(name_of_row, named, range(size))
         self.statement = Statement(self.reader.compiler, first, lower, upper, name)
         self.statement.other_way = ", or list them in over=[…] of an agent"
         self.statement.way_to_fix = "fix it with box({name}, {value}, {value})"
@@ -291,9 +279,7 @@ class Model:
 
     def add_pairs(self, pairs: Sequence[Pair]) -> None:
         """Read complementarities, first the pairs with only one side that can be the variable."""
-        order = sorted(
-            pairs, key=lambda pair: self._key(pair.first)[:4] == self._key(pair.second)[:4]
-        )
+        order = sorted(pairs, key=lambda p: self._key(p.first)[:4] == self._key(p.second)[:4])
         for pair in order:
             self._pair(pair, *self.sides(pair))
 
@@ -304,15 +290,12 @@ class Model:
     def _key(self, side: Side) -> tuple[bool, ...]:
         """Return a sort key of the sides of a pair; its natural variable comes first."""
         _, columns, _, _, low, high = self.read(side)
-        return (
-            side.form == "zero",
-            side.form not in ("box", "cone"),
-            not np.isfinite((low, high)).any(),
-            columns is None,
-            columns is not None and bool(self.statement.is_paired[columns].any()),
-            columns is not None and bool(self.is_defined[columns].all()),
-            not isinstance(side.expression, cp.Variable),
-        )
+        is_plain, has_bounds = columns is not None, bool(np.isfinite((low, high)).any())
+        is_paired = is_plain and bool(self.statement.is_paired[columns].any())
+        is_defined = is_plain and bool(self.is_defined[columns].all())
+        forms = side.form == "zero", side.form not in ("box", "cone"), not has_bounds
+        is_part = not isinstance(side.expression, cp.Variable)
+        return *forms, not is_plain, is_paired, is_defined, is_part
 
     def read(self, side: Side) -> ReadSide:
         """Return the rows of a side, the unknowns that they are, and their bounds."""
@@ -346,8 +329,7 @@ class Model:
             warn_of_equality_between_bounds(pair, side)
         elif side.form == other.form == "value" and not is_bounded and not states_bounds(side):
             warn(
-                f"{side} has no bounds, so that complements({side}, F) means F == 0; declare the variable with "
-                "nonneg=True, or write F == 0 if you mean an equation"
+                f"{side} has no bounds: complements({side}, F) means F == 0; write that, or nonneg=True"
             )
         expression, scale, offset = side.expression, weights, shift
         if is_new:
@@ -358,9 +340,7 @@ class Model:
         low, high = np.minimum(*ends), np.maximum(*ends)
         is_crossed = (low == np.inf) | (high == -np.inf) | (ends[0] * scale > ends[1] * scale)
         if is_crossed.any():
-            raise UnsupportedModel(
-                f"{side} has a lower bound above its upper bound, or beyond the largest double"
-            )
+            raise UnsupportedModel(f"the lower bound of {side} is above the upper, or overflows")
         sign = np.sign(scale) * np.ones(low.size)
         if other.form == "nonnegative" and side.form != "nonnegative":
             sign = sign_of_inequality(pair, low, high)
@@ -394,10 +374,7 @@ class Model:
         for item in (cone, other):
             rows, columns, weights, shift, *_ = self.read(item)
             if rows.level:
-                raise UnsupportedModel(
-                    f"{item} must be affine, as it is paired with a cone; give it a variable, or write it by affine "
-                    "expressions"
-                )
+                raise UnsupportedModel(f"{item} must be affine next to a cone; give it a variable")
             is_plain = columns is not None and not shift.any() and (weights == 1.0).all()
             is_taken = is_plain and (
                 self.statement.is_paired[columns].any() or self.is_defined[columns].all()
@@ -421,10 +398,7 @@ class Model:
         first, lower, upper = columns[:, 0], self.statement.lower, self.statement.upper
         lower[first] = np.where(lower[first] == 0.0, -np.inf, lower[first])
         if np.isfinite((lower[columns], upper[columns])).any():
-            raise UnsupportedModel(
-                f"{side} holds variables with bounds, which the pair of a cone does not state; drop the bounds, or "
-                "state them in another pair"
-            )
+            raise UnsupportedModel(f"{side} has bounds next to a cone; drop or pair them")
 
     # --- the complementarity problem ---
 
@@ -468,8 +442,7 @@ class Model:
         problem = self.problem
         if not isinstance(problem, LCP):
             raise UnsupportedModel(
-                f'{purpose} takes affine sides without cones, and this model has others; problem.solve(method="LCP") '
-                "solves it"
+                f'{purpose} takes affine sides without cones; problem.solve(method="LCP") takes all'
             )
         for column in self.square.dropped[:1].tolist():
             entry = self.statement.name_of(column)
@@ -496,10 +469,8 @@ class Model:
 
     def split(self, unknowns: Vector) -> dict[int, Any]:
         """Return a value for each variable, by id, in the variable's shape."""
-        return {
-            variable.id: unknowns[self.spans[variable.id]].reshape(variable.shape, order="F")
-            for variable in self.variables
-        }
+        spans = self.spans
+        return {v.id: unknowns[spans[v.id]].reshape(v.shape, order="F") for v in self.variables}
 
     @np.errstate(all="ignore")  # outside of a domain
     def present(self) -> Vector | None:
@@ -568,24 +539,14 @@ class Model:
         number, expected = mismatch
         owner = np.searchsorted(np.cumsum([part.size for part in values]), number, side="right")
         less = " less its slack" if stated[owner].slacks is not None else ""
-        return (
-            f"{compat.name_of(stated[owner].origin)}{less} is {theirs[number]:.9g} in one entry at the values of its "
-            f"variables, and {expected:.9g} was computed"
-        )
+        name = f"{compat.name_of(stated[owner].origin)}{less}"
+        return f"an entry of {name} is {theirs[number]:.9g}, and {expected:.9g} was computed"
 
 
 def spans_of(leaves: dict[int, Any]) -> tuple[dict[int, slice], int]:
     """Return the slice of each expression in their concatenation, and the number of entries."""
     ends = np.cumsum([0, *(leaf.size for leaf in leaves.values())]).tolist()
     return {key: slice(*pair) for key, pair in zip(leaves, pairwise(ends), strict=True)}, ends[-1]
-
-
-def _name_of(variables: list[Any], spans: dict[int, slice], column: int) -> str:
-    """Return the name of an unknown: h[2]."""
-    for variable in variables:
-        if 0 <= (k := column - spans[variable.id].start) < variable.size:
-            return compat.entry_of(variable, k)
-    return ""
 
 
 def friction_of(side: Side) -> Vector | None:
@@ -610,9 +571,7 @@ def sign_of_inequality(pair: Pair, low: Vector, high: Vector) -> Vector:
 def states_bounds(side: Side) -> bool:
     """Return whether some variable below the side has bounds, finite or infinite."""
     names = ("nonneg", "nonpos", "pos", "neg", "bounds")
-    return any(
-        variable.attributes.get(name) for variable in side.expression.variables() for name in names
-    )
+    return any(v.attributes.get(name) for v in side.expression.variables() for name in names)
 
 
 def warn_of_equality_between_bounds(pair: Pair, side: Side) -> None:

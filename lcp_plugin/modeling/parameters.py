@@ -18,14 +18,14 @@ from typing import Any
 import cvxpy as cp
 import numpy as np
 import scipy.sparse as sp
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 from scipy.sparse.linalg import splu
 
 from ..core.checks import Vector, derived_property, fill
 from ..core.errors import InvalidOption, UnsuitableProblem, UnsupportedModel
 from ..core.lcp import LCP
 from ..core.names import listed
-from ..expressions.rows import Program
+from ..expressions.rows import Indices, Program
 from ..problems.cones.data import Blocks
 from ..problems.nonlinear.data import NonlinearProblem
 from ..problems.parametric.path import Path, PathPoint, Piece
@@ -69,9 +69,8 @@ class ParametricRows:
         starts = {key: span.start for key, span in self._spans.items()}
         rows = [reader.rows(root) for root in roots.values()]
         self._program = Program.of(reader.compiler, rows, starts, n)
-        self._at = self._vector(
-            {key: known.get(key, leaf_value(p)) for key, p in self._parameters.items()}
-        )
+        held = {key: known.get(key, leaf_value(p)) for key, p in self._parameters.items()}
+        self._at = self._vector(held)
 
     def change(self, changes: Changes) -> Vector:
         """Return the change of the expressions by changes of parameters; missing ones are 0."""
@@ -80,10 +79,8 @@ class ParametricRows:
     def gradient(self, gradient: Vector) -> Changes:
         """Return the gradients by parameters, by id, from the gradient by the expressions."""
         gradients = self._finite(self._program.gradient(self._at, gradient))
-        return {
-            key: gradients[self._spans[key]].reshape(parameter.shape, order="F")
-            for key, parameter in self._parameters.items()
-        }
+        parts = self._parameters.items()
+        return {k: gradients[self._spans[k]].reshape(p.shape, order="F") for k, p in parts}
 
     def _vector(self, values: Changes) -> Vector:
         parts = [values.get(key, np.zeros(p.size)) for key, p in self._parameters.items()]
@@ -92,10 +89,7 @@ class ParametricRows:
     @staticmethod
     def _finite(values: Any) -> Any:
         if not np.isfinite(values).all():
-            raise UnsupportedModel(
-                "the model has no finite derivative at the present values of its parameters; move them away from the "
-                "edge of what its atoms accept"
-            )
+            raise UnsupportedModel("no finite derivative at the parameters; move them off an edge")
         return values
 
 
@@ -121,8 +115,7 @@ class ModelDerivative:
     @property
     def is_unique(self) -> bool | None:
         """True if the derivative exists, so that jvp is linear; None if that is unknown (over cones)."""
-        is_unique: bool | None = self._at.is_unique
-        return is_unique
+        return self._at.is_unique
 
     @property
     def advice(self) -> str:
@@ -215,15 +208,12 @@ class ModelDerivative:
         for key, value in stated.items():
             owner = named.get(key, key) if isinstance(key, str) else key
             if not any(owner is known for known in owners):
-                raise UnsupportedModel(
-                    f"{name_of(owner)} has no {what} here; give one of {', '.join(named)}"
-                )
+                raise UnsupportedModel(f"{name_of(owner)} has no {what}; give {listed(named)}")
             array = np.asarray(value)
             is_real = array.dtype.kind in "fiu" and np.isfinite(array).all()
             if not is_real or array.shape != owner.shape:
                 raise UnsupportedModel(
-                    f"the {what} of {name_of(owner)} must be finite real numbers of its shape {owner.shape}, "
-                    f"got {value!r}"
+                    f"the {what} of {name_of(owner)} must be finite, of its shape {owner.shape}, got {value!r}"
                 )
             arrays[owner.id] = by_columns(array.astype(np.float64))
         return arrays
@@ -250,23 +240,20 @@ class ModelDerivative:
         return [row.origin for row in (*statement.pairs, *statement.rows)]
 
     @derived_property
-    def _rows(self) -> NDArray[np.int64]:
+    def _rows(self) -> Indices:
         """The positions of the rows of pairs and equations among the parametric expressions."""
         spans = [self._parametric.spans[id(function)] for function in self._functions]
-        rows: NDArray[np.int64] = np.r_[0:0, *spans]
-        return rows
+        return np.r_[0:0, *spans]
 
     @derived_property
-    def _left(self) -> NDArray[np.int64]:
+    def _left(self) -> Indices:
         """The row of the model that each row of the LCP is, up to its sign."""
         square = self._model.square
         definitions = square.stored[0].shape[0] + square.elimination.rows
         return np.delete(np.arange(self._rows.size), definitions)[square.places]
 
     @derived_property
-    def _definitions(
-        self,
-    ) -> tuple[sp.csr_array, NDArray[np.int64], Callable[[Vector, str], Vector]] | None:
+    def _definitions(self) -> tuple[sp.csr_array, Indices, Any] | None:
         """Rows of the model, including definitions, and solves with these and their transpose."""
         elimination, (first, second) = self._model.square.elimination, self._model.square.stored
         if not elimination.rows.size:
@@ -328,19 +315,14 @@ def derivative_of(problem: cp.Problem) -> ModelDerivative:
     parameters = differentiable_parameters(problem)
     result = getattr(problem.solver_stats, "extra_stats", None)
     if not isinstance(result, Result):
-        raise UnsupportedModel(
-            'derivative needs a solution of complementarities alone; call problem.solve(method="LCP") first, with the '
-            "objective cp.Minimize(0)"
-        )
+        raise UnsupportedModel('derivative needs a solve by method="LCP" of cp.Minimize(0)')
     if not result.is_solved:
         raise UnsuitableProblem(
             f"only a solution has a derivative, and this run ended {result.status.name}: {result.advice}"
         )
     model = build_from(problem)
     if not _is_solved_by(model, result):
-        raise UnsupportedModel(
-            "the parameters have other values than at the last solve; solve the problem again"
-        )
+        raise UnsupportedModel("the parameters have changed since the last solve; solve again")
     model.reports += [report for agent in model.agents for report in _bounds_of(agent, model)]
     return ModelDerivative(model, result, parameters)
 
@@ -385,9 +367,8 @@ def differentiable_parameters(problem: cp.Problem) -> list[Any]:
     for parameter in parameters:
         if name := restricting_attribute(parameter):
             raise UnsupportedModel(
-                f"parameter {parameter.name()} has the attribute {name!r}, so that its entries cannot move freely "
-                "and have no gradients of their own; use a plain parameter, nonneg or with bounds, and build the "
-                "matrix from it"
+                f"parameter {parameter.name()} has the attribute {name!r}, so that its entries have no gradients of "
+                "their own; use a plain parameter, nonneg or with bounds, and build the matrix from it"
             )
     return parameters
 
@@ -422,17 +403,12 @@ class ModelPath(Path):
 
     def value(self, variable: cp.Variable | str, theta: ArrayLike) -> Any:
         """Return the value of a variable, or of its name, at θ in its shape; at k values of θ shape (k, *shape)."""
-        named = {v.name(): v for v in self._problem.variables()}
+        known = self._problem.variables()
+        named = {v.name(): v for v in known}
         variable = named.get(variable, variable) if isinstance(variable, str) else variable
-        if not isinstance(variable, cp.Variable):
-            raise UnsupportedModel(
-                f"{variable!r} is not a variable of the problem; give one of {listed(named)}"
-            )
+        if all(variable is not v for v in known):
+            raise UnsupportedModel(f"{variable!r} is not a variable; give one of {listed(named)}")
         points = [self._values(value) for value in np.ravel(np.asarray(theta, float)).tolist()]
-        if any(variable.id not in values for values in points):
-            raise UnsupportedModel(
-                f"{name_of(variable)} is not a variable of the problem; pass one of its variables"
-            )
         shape = (*np.shape(theta), *variable.shape)
         return np.reshape([values[variable.id] for values in points], shape)
 
@@ -453,26 +429,19 @@ def parameter_lines(problem: cp.Problem, along: object) -> Lines:
     if isinstance(along, cp.Parameter):
         if along.size != 1:
             raise InvalidOption(
-                f"{name_of(along)} has {along.size} entries: write along={{parameter: direction}}, which is added "
-                "to its present value"
+                f"{name_of(along)} has {along.size} entries; write along={{parameter: direction}}"
             )
         lines = {along: (np.zeros(along.shape), np.ones(along.shape))}
     elif isinstance(along, Mapping) and along and all(isinstance(p, cp.Parameter) for p in along):
         if lacking := [parameter for parameter in along if parameter.value is None]:
-            raise InvalidOption(
-                f"{name_of(lacking[0])} has no value, to which the direction is added; give it one"
-            )
+            raise InvalidOption(f"{name_of(lacking[0])} has no value to start from; give it one")
         steps = {p: np.broadcast_to(np.asarray(step, float), p.shape) for p, step in along.items()}
         lines = {p: (np.array(leaf_value(p), float), step) for p, step in steps.items()}
     else:
-        raise InvalidOption(
-            f"along of a cvxpy problem is a Parameter, or {{parameter: direction}}, got {along!r}"
-        )
+        raise InvalidOption(f"along is a Parameter, or {{parameter: direction}}, got {along!r}")
     known = by_id(problem.parameters())
     if strange := [parameter for parameter in lines if parameter.id not in known]:
-        raise InvalidOption(
-            f"{name_of(strange[0])} is not a parameter of the problem; pass one of its parameters"
-        )
+        raise InvalidOption(f"{name_of(strange[0])} is not a parameter of the problem; pass one")
     return lines
 
 
@@ -519,8 +488,7 @@ def trace_model(
 
 
 def _pairs(problem: cp.Problem) -> tuple[LCP, Back]:
-    model = build_from(problem)
-    return model.lcp("trace"), lambda z: build_from(problem).values(z)
+    return build_from(problem).lcp("trace"), lambda z: build_from(problem).values(z)
 
 
 def _program(problem: cp.Problem) -> tuple[QuadraticProgram, Back]:
@@ -537,10 +505,7 @@ def _line(problems: list[Any], values: tuple[float, ...]) -> tuple[Any, dict[str
         if any(matrix.shape != one.shape or abs(matrix - one).sum() != 0.0 for one in others):
             remedy = "where it multiplies the quadratic term, divide the objective by it"
             remedy = remedy if name == "P" else "let it multiply no variable of a constraint"
-            raise UnsupportedModel(
-                f"the parameter enters the matrix {name} of the program that cvxpy compiles, so the path is not "
-                f"piecewise affine; {remedy}"
-            )
+            raise UnsupportedModel(f"the parameter enters the matrix {name}: not affine; {remedy}")
     begin, end, between = values
     base, directions = {}, {}
     for name in first.vector_names:

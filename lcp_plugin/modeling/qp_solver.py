@@ -33,18 +33,7 @@ from ..problems.programs.program_matrices import as_array, may_be_small
 from ..problems.programs.solution import QPSolution
 from ..problems.programs.solving import solve_program
 from ..problems.statement import name_of_row
-from ._compat import (
-    CVXPY_STATUS,
-    EQUATIONS,
-    by_columns,
-    entry_of,
-    leaf_value,
-    row_of,
-    sense_of,
-    solver_errors,
-    statistics,
-    why_not,
-)
+from . import _compat as compat
 
 BEGUN = "started from the last solution; warm_start=False starts from zero"
 PROGRAM = "lcp_plugin.program"  # the key of the last program in the solver cache
@@ -100,7 +89,7 @@ class _LCPQuadraticSolver(QpSolver):  # type: ignore[misc]
         cache = {} if solver_cache is None else solver_cache
         options, guess = dict(solver_opts), cache.get(self.name()) if warm_start else None
         # Overflow becomes infinite, and raises an error as such.
-        with np.errstate(all="ignore"), solver_errors():
+        with np.errstate(all="ignore"), compat.solver_errors():
             if guess is not None:
                 options.setdefault("z0", guess)
             algorithm = options.pop("algorithm", "auto")
@@ -117,7 +106,8 @@ class _LCPQuadraticSolver(QpSolver):  # type: ignore[misc]
         result, verbose = answer
         if verbose:
             settings.LOGGER.info(result.explain())
-        status, attributes, qp = CVXPY_STATUS[result.status], statistics(result), result.solution
+        status, qp = compat.CVXPY_STATUS[result.status], result.solution
+        attributes = compat.statistics(result)
         if status not in settings.SOLUTION_PRESENT:
             attributes["message"] = result.advice if result.proof is None else str(result.proof)
             failed = failure_solution(status, attributes)
@@ -129,12 +119,9 @@ class _LCPQuadraticSolver(QpSolver):  # type: ignore[misc]
 
     def _duals(self, qp: QPSolution, inverse_data: Any) -> dict[Any, Any]:
         """Return the multipliers by the ids of constraints."""
-        duals: dict[Any, Any] = {}
-        parts = (qp.equality, self.EQ_CONSTR), (qp.inequality, self.NEQ_CONSTR)
-        for values, key in parts:
-            extract = utilities.extract_dual_value
-            duals |= utilities.get_dual_values(values, extract, inverse_data[key])
-        return duals
+        by_id, entry = utilities.get_dual_values, utilities.extract_dual_value
+        duals: dict[Any, Any] = by_id(qp.equality, entry, inverse_data[self.EQ_CONSTR])
+        return duals | by_id(qp.inequality, entry, inverse_data[self.NEQ_CONSTR])
 
 
 def _farkas(proof: QPInfeasibility) -> QPSolution:
@@ -150,10 +137,8 @@ def quadratic_program(data: Any, cache: Any) -> QuadraticProgram:
     If the program in the cache has the same matrices, its factorization and scaling are shared.
     """
     rows = n, m, p = [int(data[key]) for key in ("n_var", "n_ineq", "n_eq")]
-    matrices = [
-        sp.csc_array((size, n)) if data[key] is None else data[key]
-        for size, key in zip(rows, MATRIX_KEYS, strict=True)
-    ]
+    given = zip((data[key] for key in MATRIX_KEYS), rows, strict=True)
+    matrices = [sp.csc_array((size, n)) if part is None else part for part, size in given]
     q, g, b = data[settings.Q], data[settings.G], data[settings.B]
     constant = float(data[settings.OFFSET])
     key = [[array.tobytes() for array in (M.indptr, M.indices, M.data)] for M in matrices]
@@ -202,10 +187,8 @@ class Entries(NamedTuple):
                     reduced = Solution(settings.OPTIMAL, 0.0, counted, {}, {})
                     numbers = reduction.invert(reduced, known).primal_vars[variable.id]
         if leaf.id not in columns and variable.size:
-            raise UnsupportedModel(
-                f"cvxpy made a program in which {variable.name()} is not found again; use plain variables"
-            )
-        flat = np.rint(by_columns(np.broadcast_to(numbers, variable.shape)))
+            raise UnsupportedModel(f"cvxpy's program lost {variable.name()}; use plain variables")
+        flat = np.rint(compat.by_columns(np.broadcast_to(numbers, variable.shape)))
         places = np.maximum(np.abs(flat).astype(np.int64) - 1, 0) + columns.get(leaf.id, 0)
         return cls(places, np.sign(flat), variable.shape)
 
@@ -216,7 +199,7 @@ class Entries(NamedTuple):
     def put_into(self, unknowns: Vector, value: Any) -> None:
         """Set the unknowns so that they give the value."""
         is_used = self.signs != 0.0
-        flat = self.signs * by_columns(value)
+        flat = self.signs * compat.by_columns(value)
         unknowns[self.places[is_used]] = flat[is_used]
 
 
@@ -286,10 +269,10 @@ def _names_of(problem: cp.Problem, data: Any, entries: dict[int, Entries]) -> Na
     A row that cvxpy adds, as for abs(x) <= 1, has no name.
     """
     constraints = enumerate(problem.constraints)
-    names = {row.id: partial(row_of, row, number=k) for k, row in constraints}
+    names = {row.id: partial(compat.row_of, row, number=k) for k, row in constraints}
     # rows of G, then of A
     compiled = data[settings.PARAM_PROB].constraints
-    compiled = sorted(compiled, key=lambda constraint: isinstance(constraint, EQUATIONS))
+    compiled = sorted(compiled, key=lambda constraint: isinstance(constraint, compat.EQUATIONS))
     rows: list[Any] = [(constraint.size, names.get(constraint.id)) for constraint in compiled]
     places = [(variable, entries[variable.id].places) for variable in problem.variables()]
     count = sum(size for size, _ in rows)
@@ -299,7 +282,7 @@ def _names_of(problem: cp.Problem, data: Any, entries: dict[int, Entries]) -> Na
 def _unknown_name(places: list[tuple[Any, Indices]], column: int) -> str:
     for variable, entries in places:
         if (at := np.flatnonzero(entries == column)).size:
-            return entry_of(variable, int(at[0]))
+            return compat.entry_of(variable, int(at[0]))
     return ""
 
 
@@ -314,7 +297,7 @@ def certify_problem(problem: cp.Problem, tolerance: float) -> Certification:
     claim = CLAIMED.get(problem.status)
     point = _point(problem, compiled) if claim is None else None
     certification = certify(compiled.program, point, claim=claim, tolerance=tolerance)
-    if sense_of(problem) > 0.0:
+    if compat.sense_of(problem) > 0.0:
         return certification
     lower, upper = certification.lower, certification.upper
     lower, upper = (None if upper is None else -upper), (None if lower is None else -lower)
@@ -324,41 +307,31 @@ def certify_problem(problem: cp.Problem, tolerance: float) -> Certification:
 def _check(problem: cp.Problem) -> None:
     """Raise an error unless this is a solved problem that QPSolver could take."""
     if not isinstance(problem, cp.Problem):
-        raise InvalidProblem(
-            f"certify needs a cvxpy.Problem or a QuadraticProgram, got {type(problem).__name__}; give one of these"
-        )
+        raise InvalidProblem(f"certify needs a cvxpy.Problem, got {type(problem).__name__}")
     if not problem.is_dcp():
-        raise UnsupportedModel(
-            "certify takes convex problems, and this one does not follow cvxpy's rules of convexity; "
-            "problem.is_dcp() must be True"
-        )
+        raise UnsupportedModel("certify needs cvxpy's rules of convexity, problem.is_dcp()")
     if not problem.variables():
         raise UnsupportedModel("the problem has no variables, so there is no solution to certify")
-    if reasons := why_not(problem):
-        raise UnsupportedModel(
-            "certify supports convex quadratic and linear programs, and problems that cvxpy compiles to them; "
-            f"here {'; '.join(reasons)}"
-        )
+    if reasons := compat.why_not(problem):
+        raise UnsupportedModel(f"certify takes convex quadratic programs: {'; '.join(reasons)}")
     if problem.status in (None, settings.SOLVER_ERROR, settings.INFEASIBLE_OR_UNBOUNDED):
         raise InvalidProblem(
-            f"the status is {problem.status}, which cannot be certified; call problem.solve() with another solver"
+            f"the status is {problem.status}, without a point; call problem.solve()"
         )
     if problem.status in CLAIMED:
         return
     for variable in problem.variables():
-        value = leaf_value(variable)
-        if value is None or not np.isfinite(by_columns(value)).all():
+        value = compat.leaf_value(variable)
+        if value is None or not np.isfinite(compat.by_columns(value)).all():
             what = "no value" if value is None else "a value that is not finite"
-            raise InvalidProblem(
-                f"variable {variable.name()} has {what}; solve the problem again, or set it"
-            )
+            raise InvalidProblem(f"variable {variable.name()} has {what}; solve again, or set it")
 
 
 def _point(problem: cp.Problem, compiled: CompiledProblem) -> Vector:
     """Return the program's x of the user's values; auxiliary variables are optimized with these values fixed."""
     x, entries = np.zeros(compiled.program.n), compiled.entries.values()
     for variable in problem.variables():
-        compiled.entries[variable.id].put_into(x, leaf_value(variable))
+        compiled.entries[variable.id].put_into(x, compat.leaf_value(variable))
     of_variables = [item.places[item.signs != 0.0] for item in entries]
     added = np.setdiff1d(np.arange(x.size), np.concatenate(of_variables))
     if added.size:

@@ -29,17 +29,9 @@ from cvxpy.expressions.expression import Expression
 
 from ..core.errors import UnsupportedModel
 from ..expressions import functions
+from ..expressions import rows as arrays
 from ..expressions.functions import SAME, Function
-from ..expressions.rows import (
-    Compiler,
-    Indices,
-    Rows,
-    added,
-    as_matrix,
-    entries_behind,
-    entry_numbers,
-    stacked,
-)
+from ..expressions.rows import Compiler, Rows, added, stacked
 from . import _compat as atoms
 from ._compat import name_of, postorder
 
@@ -136,7 +128,9 @@ def _gathered(compiler: Compiler, node: cp.Expression, arguments: list[Any]) -> 
     ends = np.cumsum([part.size for part in parts])
     # 0 stands for an entry of nothing: padding.
     starts = [1.0, *(ends[:-1] + 1.0)]
-    numbers = [entry_numbers(part.shape) + start for part, start in zip(parts, starts, strict=True)]
+    numbers = [
+        arrays.entry_numbers(part.shape) + start for part, start in zip(parts, starts, strict=True)
+    ]
     moved = atoms.dense(atoms.constant_numeric(node, numbers))
     return stacked(parts).taken(moved.ravel(order="F").astype(np.int64) - 1, node.shape)
 
@@ -144,7 +138,7 @@ def _gathered(compiler: Compiler, node: cp.Expression, arguments: list[Any]) -> 
 def _summed(compiler: Compiler, node: cp.Expression, arguments: list[Any]) -> Rows:
     rows, axes = arguments[0], _axes(node)
     kept = tuple(1 if axis in axes else length for axis, length in enumerate(rows.shape))
-    return rows.summed(entries_behind(rows.shape, kept), node.shape)
+    return rows.summed(arrays.entries_behind(rows.shape, kept), node.shape)
 
 
 AFFINE: dict[tuple[Any, ...], Rule] = {
@@ -179,19 +173,17 @@ def _with_constant(function: Function, constant: float) -> Rule:
 def _power(compiler: Compiler, node: cp.Expression, arguments: list[Any]) -> Rows:
     rows, value = arguments[0], node.p.value
     if value is None or not np.isfinite(value).all():
-        raise UnsupportedModel(
-            f"the exponent {name_of(node.p)} of {name_of(node)} is {value}; give it a finite value"
-        )
+        raise UnsupportedModel(f"{name_of(node.p)} is {value} in {name_of(node)}; give a number")
     exponent = float(np.ravel(value)[0])
     if exponent == 0.0:  # a parameter may be
         return Rows({}, np.ones(rows.size), rows.shape)
     return rows if exponent == 1.0 else compiler.emit(functions.power(exponent), rows)
 
 
-def _reduced(node: cp.Expression) -> Indices:
+def _reduced(node: cp.Expression) -> arrays.Indices:
     """Return the entries of each result, along the node's axis: shape (entries, results)."""
     shape, axes = node.args[0].shape, _axes(node)
-    moved = np.moveaxis(entry_numbers(shape), axes, range(len(axes)))
+    moved = np.moveaxis(arrays.entry_numbers(shape), axes, range(len(axes)))
     return moved.reshape((math.prod(shape[axis] for axis in axes), -1), order="F")
 
 
@@ -226,9 +218,7 @@ def _along_axis(function: Function) -> Rule:
 
 def _geometric_mean(compiler: Compiler, node: cp.Expression, arguments: list[Any]) -> Rows:
     if getattr(node, "axis", None) is not None:
-        raise UnsupportedModel(
-            f"{name_of(node)} takes the mean along an axis; write one geo_mean for each row"
-        )
+        raise UnsupportedModel(f"{name_of(node)} has an axis; write one geo_mean for each row")
     rows, weights = arguments[0], [float(weight) for weight in node.w]
     kept = np.flatnonzero(np.broadcast_to(getattr(node, "_keep", True), (rows.size,)))
     kept = kept if kept.size == len(weights) else np.arange(rows.size)
@@ -284,6 +274,7 @@ SMOOTH: dict[Any, Rule] = {
 
 
 Values = dict[int, Any]
+Memo = dict[int, tuple[Any, Any]]  # nodes and their results, by id
 
 #: Attributes that tie entries to each other or to a set, so that the columns would not be free.
 FORBIDDEN_ATTRIBUTES = "symmetric diag PSD NSD hermitian sparsity complex imag"
@@ -303,9 +294,8 @@ def folded(
         Results by the ids of nodes, below which no node is read.
     """
     nodes = postorder([root], known)
-    uses = Counter(
-        id(argument) for node in nodes if id(node) not in known for argument in node.args
-    )
+    read = (node for node in nodes if id(node) not in known)
+    uses = Counter(id(argument) for node in read for argument in node.args)
     results: Values = {}
     for node in nodes:
         if id(node) in known:
@@ -350,11 +340,7 @@ class Reader:
     """
 
     def __init__(
-        self,
-        memo: dict[int, tuple[Any, Any]] | None = None,
-        held: Values | None = None,
-        *,
-        takes_integers: bool = False,
+        self, memo: Memo | None = None, held: Values | None = None, *, takes_integers: bool = False
     ) -> None:
         self.compiler, self._takes_integers = Compiler(), takes_integers
         self._memo = {} if memo is None else memo
@@ -386,14 +372,13 @@ class Reader:
             if not isinstance(result, Rows):
                 self._take_constant(root, result)
             rows = Rows.of(result).spread(root.shape)
-            blocks = {key: as_matrix(block, rows.size) for key, block in rows.blocks.items()}
+            blocks = {key: arrays.as_matrix(block, rows.size) for key, block in rows.blocks.items()}
             rows = replace(rows, blocks=blocks)
             if self._held is None:
                 entries = [block.data for block in blocks.values()]
                 if not all(np.isfinite(values).all() for values in (rows.offset, *entries)):
                     raise UnsupportedModel(
-                        f"{name_of(root)} is not finite, multiplied out: its data overflow, or are divided by 0; write "
-                        "it in other units"
+                        f"{name_of(root)} overflows, or is divided by 0; write it in other units"
                     )
                 self._remember(root, rows)
         return rows
@@ -404,8 +389,7 @@ class Reader:
         hidden = hidden_parameters(node) if rule is None else []
         if hidden and self._has_sources:
             raise UnsupportedModel(
-                f"{name_of(node)} holds the parameter {hidden[0].name()} where no derivative reaches it; write it with "
-                "products, sums, exp and log"
+                f"{name_of(node)} holds {hidden[0].name()} where no derivative reaches it; write products, sums, exp"
             )
         if isinstance(node, cp.Parameter) or hidden or not self._moving.isdisjoint(below):
             self._moving.add(key)
@@ -436,13 +420,11 @@ class Reader:
             takes = self._takes_integers
             if self._held is None and (tie := restricting_attribute(node, takes_integers=takes)):
                 raise UnsupportedModel(
-                    f"variable {node.name()} has the attribute {tie!r}, which ties or restricts its entries; use a "
-                    "plain variable, with bounds or nonneg where needed"
+                    f"variable {node.name()} has the attribute {tie!r}, which ties its entries; use a plain one"
                 )
             return Rows({node.id: 1.0}, np.zeros(node.size), node.shape)
-        constants = [
-            pair for pair in zip(node.args, arguments, strict=True) if not isinstance(pair[1], Rows)
-        ]
+        pairs = zip(node.args, arguments, strict=True)
+        constants = [pair for pair in pairs if not isinstance(pair[1], Rows)]
         if len(constants) == len(arguments):
             return self._value(node, arguments)
         for part, argument in constants:
@@ -461,9 +443,7 @@ class Reader:
         value = (self._held or {}).get(getattr(node, "id", 0))  # a constant has no id
         value = atoms.leaf_value(node) if value is None else value
         if value is None:
-            raise UnsupportedModel(
-                f"parameter {name_of(node)} has no value; set {name_of(node)}.value before solving"
-            )
+            raise UnsupportedModel(f"parameter {name_of(node)} has no value; set it first")
         return value
 
     def _take_constant(self, node: cp.Expression, value: Any) -> None:
@@ -471,14 +451,10 @@ class Reader:
         if id(node) in self._known:
             return
         if np.iscomplexobj(value):
-            raise UnsupportedModel(
-                f"{name_of(node)} is complex; write its real and imaginary parts as two expressions"
-            )
+            raise UnsupportedModel(f"{name_of(node)} is complex; write real and imaginary part")
         entries = atoms.stored_entries(value)
         if (wrong := entries[~np.isfinite(entries)]).size:
-            raise UnsupportedModel(
-                f"constants must be finite, but {name_of(node)} holds {wrong[0]}; repair that entry"
-            )
+            raise UnsupportedModel(f"{name_of(node)} must be finite, got {wrong[0]}; repair it")
 
 
 def hidden_parameters(node: cp.Expression) -> list[Any]:

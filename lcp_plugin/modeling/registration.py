@@ -15,20 +15,14 @@ from ..core.lcp import LCP
 from ..core.names import Names, listed
 from ..problems.programs.certification import Certification, certify_point, with_side_conditions
 from ..problems.statement import MissingPair, solve_from
-from ._compat import (
-    CVXPY_STATUS,
-    EQUATIONS,
-    UnsolvableModel,
-    name_of,
-    sense_of,
-    solver_errors,
-    why_not,
-)
+from . import _compat as compat
+from ._compat import EQUATIONS, name_of
 from .agents import Optimal, without_agents
 from .best_equilibrium import solve_for_the_best
 from .constraint import Complements, Condition, box, complements
 from .model import Model
 from .qp_solver import NamesOnDemand, QPSolver, certify_problem
+from .reading import Memo
 
 FLAGS = "gp qcp nlp requires_grad"  # of cvxpy's solve
 OF_COMPILATION = "enforce_dpp ignore_dpp canon_backend bibtex"  # by cvxpy, which only programs need
@@ -55,14 +49,13 @@ def is_complementarity_problem(problem: cp.Problem) -> bool:
     if not isinstance(problem, cp.Problem):
         return False
     constraints, goal = problem.constraints, problem.objective.args[0]
-    return any(isinstance(c, Condition) for c in constraints) or (
-        goal.is_constant()
-        and all(isinstance(c, EQUATIONS) for c in constraints)
-        and not all(c.is_dcp() for c in constraints)
-    )
+    if any(isinstance(c, Condition) for c in constraints):
+        return True
+    are_equations = goal.is_constant() and all(isinstance(c, EQUATIONS) for c in constraints)
+    return are_equations and not all(c.is_dcp() for c in constraints)
 
 
-def build(constraints: list[Any], memo: dict[Any, Any] | None = None) -> Model:
+def build(constraints: list[Any], memo: Memo | None = None) -> Model:
     """Return the model of complementarities and equalities.
 
     Raises
@@ -76,10 +69,7 @@ def build(constraints: list[Any], memo: dict[Any, Any] | None = None) -> Model:
     pairs = [constraint for constraint in constraints if isinstance(constraint, Complements)]
     for constraint in constraints:
         if not isinstance(constraint, (*EQUATIONS, Complements)):
-            raise NotSquare(
-                f"the constraint {constraint} does not belong to a complementarity; make it part of a pair, as in "
-                f"complements({constraint}, F >= 0)"
-            )
+            raise NotSquare(f"{constraint} has no pair; write complements({constraint}, F >= 0)")
     model = Model(constraints, memo)
     model.agents, model.numbers = agents, numbers
     model.add_equations(equations)
@@ -87,20 +77,17 @@ def build(constraints: list[Any], memo: dict[Any, Any] | None = None) -> Model:
     return model
 
 
-_memos: weakref.WeakKeyDictionary[Any, dict[int, tuple[Any, Any]]] = weakref.WeakKeyDictionary()
+_memos: weakref.WeakKeyDictionary[Any, Memo] = weakref.WeakKeyDictionary()
 
 
 def build_from(problem: cp.Problem) -> Model:
     """Return the model of a cvxpy problem; parts that depend on no parameter are cached for the next call."""
     if not isinstance(problem, cp.Problem):
-        raise UnsupportedModel(
-            f"a cvxpy problem is needed, got {type(problem).__name__}; write cp.Problem(cp.Minimize(0), […])"
-        )
+        raise UnsupportedModel(f"a cvxpy problem is needed, got {type(problem).__name__}")
     if not problem.objective.args[0].is_constant():
         raise UnsupportedModel(
-            f"the objective {name_of(problem.objective.args[0])} with complementarity requires the best of all "
-            'solutions, which is not a single LCP: problem.solve(method="LCP") finds it; write cp.Minimize(0) for '
-            "any solution"
+            f"the objective {name_of(problem.objective.args[0])} with complementarity is not a single LCP: "
+            'problem.solve(method="LCP") finds the best of all solutions; write cp.Minimize(0) for any solution'
         )
     return build(problem.constraints, _memos.setdefault(problem, {}))
 
@@ -174,14 +161,13 @@ def solve_model(
     cvxpy.error.SolverError
         If the run diverged.
     """
-    with solver_errors(), np.errstate(all="ignore"):
+    with compat.solver_errors(), np.errstate(all="ignore"):
         compilation = {k: options.pop(k) for k in OF_COMPILATION.split() if k in options}
         foreign = [name for name in FLAGS.split() if name in options]
         if solver is not None or foreign:
             what = ", ".join(foreign) or f"solver={solver!r}"
             raise UnsupportedModel(
-                f'method="LCP" has no option {what}; leave it out. Use algorithm=… to choose a method, and '
-                "lcp_plugin.derivative(problem) after the solve for derivatives"
+                f'method="LCP" has no option {what}; leave it out; derivatives: lcp_plugin.derivative(problem)'
             )
         if not is_complementarity_problem(problem):
             options |= {"algorithm": algorithm, **compilation}
@@ -233,9 +219,7 @@ def certify_model(problem: cp.Problem, tolerance: float, _pairs: object = None) 
         raise InvalidProblem("a variable has no value; solve the problem, or set the values first")
     name_of = model.statement.name_of
     for k in np.flatnonzero(~np.isfinite(z))[:1].tolist():
-        raise InvalidProblem(
-            f"the value of {name_of(k)} must be finite, got {z[k]}; set another value"
-        )
+        raise InvalidProblem(f"the value of {name_of(k)} must be finite, got {z[k]}; set another")
     stated, point, violated = model.square.at_values(z, tolerance, name_of)
     violated += model.statement.violated_bounds(z, model.square.dropped, tolerance)
     return with_side_conditions(certify_point(stated, point, tolerance), violated)
@@ -252,17 +236,14 @@ def _square(problem: cp.Problem, warm_start: bool, options: dict[str, Any]) -> A
         model.refuse_violated_bounds(result.z)
     if options["verbose"]:
         settings.LOGGER.info(result.explain())
-    status, point = CVXPY_STATUS[result.status], None
+    status, point = compat.CVXPY_STATUS[result.status], None
     if status == settings.SOLVER_ERROR:
         raise SolverError(f"{result.status.name}: {result.advice}")
     if status != settings.INFEASIBLE:
         point = elimination.expand(result.z), elimination.expand_slack(result.w), 0.0
     model.write_back(problem, result, point)
     if point is not None and (wrong := model.consistency_error(result.z, result.w)):
-        warn(
-            f"cvxpy evaluates the model at the solution to other values: {wrong}; check the solution, or write the "
-            "expression in another way"
-        )
+        warn(f"cvxpy evaluates the model to other values: {wrong}; check or rewrite it")
     if status in settings.INACCURATE:
         remark = f"the solution may be inaccurate ({result.status.name}): {result.advice}"
         warn(remark, UserWarning)
@@ -292,7 +273,7 @@ def _program(problem: cp.Problem, warm_start: bool, verbose: bool, options: dict
     """Solve a quadratic program."""
     names = NamesOnDemand(problem)
     options |= {"solver": QPSolver, "warm_start": warm_start, "verbose": verbose}
-    options |= {"sense": sense_of(problem), "names": Names(names.row, names.unknown)}
+    options |= {"sense": compat.sense_of(problem), "names": Names(names.row, names.unknown)}
     try:
         return cp.Problem._solve(problem, **options)
     except DCPError as error:
@@ -301,9 +282,9 @@ def _program(problem: cp.Problem, warm_start: bool, verbose: bool, options: dict
             raise DCPError(f"{error}\n{NOT_BY_RULES}") from error
         raise
     except SolverError as error:
-        if not (reasons := why_not(problem)):
+        if not (reasons := compat.why_not(problem)):
             raise
-        raise UnsolvableModel(
+        raise compat.UnsolvableModel(
             'QPSolver and method="LCP" support convex quadratic programs, and problems that cvxpy compiles to them; '
             f"here {'; '.join(reasons)}. Choose a solver for cones or integers, as solver=cp.CLARABEL "
             "or cp.HIGHS; or solve the optimality conditions of a smooth convex program, cp.Problem(cp.Minimize(0), "

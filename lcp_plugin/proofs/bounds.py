@@ -78,13 +78,8 @@ from ..systems.equilibration import unit_diagonal
 from ..systems.factors import PositiveFactor, factor_fits, positive_factor
 from ..systems.free_systems import KRYLOV_GOAL, FreeSystem
 from ..systems.graph import block_rows, comparison_product
-from .exact import (
-    exact_symmetric_part,
-    has_nonnegative_pivots,
-    product_above,
-    quotient_above,
-    sum_above,
-)
+from . import exact
+from .exact import product_above, quotient_above, sum_above
 from .verdicts import HCertificate, comparison_certificate
 
 SIGNS = np.array([[1.0], [-1.0]])
@@ -300,9 +295,8 @@ def settled_rows(
     is_upper = np.where(is_fixed, w < 0.0, below < above)
     reaches = np.where(is_upper, below <= -step, above <= step)
     held = is_fixed | (reaches & ~degenerate)
-    return ActiveRows(
-        ~(held | degenerate), held & ~is_upper, held & is_upper, degenerate, is_upper, z, system
-    )
+    sets = ~(held | degenerate), held & ~is_upper, held & is_upper, degenerate
+    return ActiveRows(*sets, is_upper, z, system)
 
 
 def _settled(
@@ -759,7 +753,7 @@ def _weights(P: sp.csr_array) -> Vector | None:
     if (dominance >= 0.0).all():
         return dominance
     # Exact elimination of 40 rows takes a tenth of a second, of 60 six times as long
-    if P.shape[0] <= 40 and has_nonnegative_pivots(exact_symmetric_part(P)):
+    if P.shape[0] <= 40 and exact.has_nonnegative_pivots(exact.exact_symmetric_part(P)):
         return np.zeros(P.shape[0])
     to_rounding = is_semidefinite_to_rounding(P)
     if to_rounding is not True:

@@ -30,26 +30,13 @@ from numpy.typing import NDArray
 
 from ..core.deadline import is_over, time_limit
 from ..core.names import describe_radius, grouped, listed
-from .exact import (
-    MOST_ENTRIES,
-    ZERO,
-    Fractions,
-    integer_rows,
-    products,
-    rank_profile,
-    rational_rows,
-    solved_nearby,
-)
-from .farkas import (
-    LP_TOLERANCE,
-    WIDE,
-    FarkasCertificate,
-    FarkasProgram,
-    LinearConstraints,
-    distinct_units,
-)
+from . import exact, farkas
+from .farkas import FarkasCertificate, FarkasProgram, LinearConstraints
 
+MAX_SECONDS = 60.0  # of a search; the smallest set so far is then returned
 Multipliers = Mapping[int, Fraction]
+Namer = Callable[[int], str]
+Indices = NDArray[np.intp]
 
 
 @dataclass(frozen=True, eq=False)
@@ -81,7 +68,7 @@ class Conflict:
     """
 
     rows: LinearConstraints = field(repr=False)
-    name: Callable[[int], str] = field(repr=False)
+    name: Namer = field(repr=False)
     multipliers: Multipliers
     is_irreducible: bool = False
 
@@ -109,7 +96,7 @@ class Conflict:
         """Bound of ‖x‖∞ up to which the members are proved to conflict."""
         return self._certificate.radius
 
-    def point(self, k: int) -> Fractions | None:
+    def point(self, k: int) -> exact.Fractions | None:
         """Return a point, exact, that satisfies all members but ``members[k]``; None if it takes too long.
 
         The other members hold with equality there, and ``members[k]`` is violated by as little as possible. None also
@@ -117,23 +104,23 @@ class Conflict:
         """
         if not self.is_exact:
             return None
-        members, n = self.members, self.rows.matrix.shape[1]
+        members, y, n = self.members, self.multipliers, self.rows.matrix.shape[1]
         right = [-Fraction(float(self.rows.q[i])) for i in members]
-        size = sum((self.multipliers[i] * d for i, d in zip(members, right, strict=True)), ZERO)
-        right[k] -= size / self.multipliers[members[k]]
-        rows = rational_rows(self.rows.matrix[members])
-        return solved_nearby(rows, right, [ZERO] * n, [True] * n)
+        size = sum((y[i] * d for i, d in zip(members, right, strict=True)), exact.ZERO)
+        right[k] -= size / y[members[k]]
+        rows = exact.rational_rows(self.rows.matrix[members])
+        return exact.solved_nearby(rows, right, [exact.ZERO] * n, [True] * n)
 
     def verify(self) -> bool:
         """Return whether the multipliers and the points prove that the members conflict irreducibly; exact."""
         if not self.is_exact:
             return False
         members, q = self.members, [Fraction(float(self.rows.q[i])) for i in self.members]
-        rows = rational_rows(self.rows.matrix[members])
+        rows = exact.rational_rows(self.rows.matrix[members])
         for k in range(len(members)):
             if (x := self.point(k)) is None:
                 return False
-            w = [value + offset for value, offset in zip(products(rows, x), q, strict=True)]
+            w = [value + offset for value, offset in zip(exact.products(rows, x), q, strict=True)]
             if any(w[:k]) or any(w[k + 1 :]):
                 return False
         return True
@@ -151,23 +138,10 @@ class Conflict:
         return f"{together}: {listed(grouped(self.names, 12), 12, ' · ')}"
 
 
-def find_conflict(
-    rows: LinearConstraints,
-    name: Callable[[int], str],
-    multipliers: Multipliers,
-    max_seconds: float = 60.0,
-) -> Conflict:
-    """Return a set of constraints that conflict, irreducible if the search ends.
-
-    Parameters
-    ----------
-    rows, name, multipliers
-        As in :class:`Conflict`.
-    max_seconds : float
-        Limit of the search; at the limit the smallest set so far is returned.
-    """
+def find_conflict(rows: LinearConstraints, name: Namer, multipliers: Multipliers) -> Conflict:
+    """Return a set of constraints that conflict, irreducible if the search ends in time; as in :class:`Conflict`."""
     y: Multipliers = {i: value for i, value in multipliers.items() if value}
-    with time_limit(max_seconds):
+    with time_limit(MAX_SECONDS):
         every, used = np.arange(rows.q.size), np.array(sorted(y))
         chosen = every if rows.matrix.nnz <= 200_000 else used  # entries: some seconds
         few = _part(rows, chosen)
@@ -182,7 +156,7 @@ def find_conflict(
         return Conflict(rows, name, y, _is_irreducible(rows, y))
 
 
-def _part(rows: LinearConstraints, chosen: NDArray[np.intp]) -> LinearConstraints:
+def _part(rows: LinearConstraints, chosen: Indices) -> LinearConstraints:
     """Return the chosen rows."""
     names = ("matrix", "q", "needs_rise", "needs_fall", "weights")
     return replace(rows, **{name: getattr(rows, name)[chosen] for name in names})
@@ -190,7 +164,8 @@ def _part(rows: LinearConstraints, chosen: NDArray[np.intp]) -> LinearConstraint
 
 def _programs(rows: LinearConstraints) -> Iterator[FarkasProgram]:
     """Yield linear programs whose solutions are Farkas vectors of the rows, in units of their sides."""
-    yield from (FarkasProgram(rows, unit) for unit in distinct_units(FarkasProgram(rows).sizes))
+    units = farkas.distinct_units(FarkasProgram(rows).sizes)
+    yield from (FarkasProgram(rows, unit) for unit in units)
 
 
 def _sparse_program(rows: LinearConstraints, y: Multipliers) -> FarkasProgram:
@@ -206,10 +181,7 @@ def _sparse_program(rows: LinearConstraints, y: Multipliers) -> FarkasProgram:
 
 
 def _smaller(
-    rows: LinearConstraints,
-    y: Multipliers,
-    chosen: NDArray[np.intp],
-    programs: Iterable[FarkasProgram],
+    rows: LinearConstraints, y: Multipliers, chosen: Indices, programs: Iterable[FarkasProgram]
 ) -> Multipliers:
     """Return the first multipliers of the chosen rows, by the programs, that are fewer than y, or as few and exact."""
     best, certificate = y, FarkasCertificate(rows, y)
@@ -218,7 +190,7 @@ def _smaller(
         if (answer := None if is_over() else program.solve()) is None:
             break
         vector = program.vector(answer.x)
-        is_nonzero = np.abs(vector) > LP_TOLERANCE * np.abs(vector).max(initial=0.0)
+        is_nonzero = np.abs(vector) > farkas.LP_TOLERANCE * np.abs(vector).max(initial=0.0)
         shorter = np.where(is_nonzero, vector, 0.0)
         for candidate in chain(program.candidates(vector), program.candidates(shorter)):
             other = {int(chosen[i]): Fraction(value) for i, value in enumerate(candidate) if value}
@@ -233,12 +205,12 @@ def _smaller(
 def _is_irreducible(rows: LinearConstraints, y: Multipliers) -> bool:
     """Return whether the rows of y have only y as a dependence, by their rank modulo a prime or to rounding."""
     proof = FarkasCertificate(rows, y)
-    members = rational_rows(rows.matrix[sorted(y)])
+    members = exact.rational_rows(rows.matrix[sorted(y)])
     place = {j: k for k, j in enumerate(sorted({j for row in members for j in row}))}
-    if not proof.holds_near or is_over() or len(members) * len(place) > MOST_ENTRIES:
+    if not proof.holds_near or is_over() or len(members) * len(place) > exact.MOST_ENTRIES:
         return False
     if proof.holds:
-        return len(rank_profile(integer_rows(members, place)[0])[0]) == len(members) - 1
+        return len(exact.rank_profile(exact.integer_rows(members, place)[0])[0]) == len(members) - 1
     matrix = rows.matrix[sorted(y)][:, list(place)].toarray()
     values = np.linalg.svd(matrix / np.abs(matrix).max(1, keepdims=True), compute_uv=False)
-    return int((values * WIDE > values[0]).sum()) == len(members) - 1
+    return int((values * farkas.WIDE > values[0]).sum()) == len(members) - 1

@@ -132,15 +132,11 @@ def exact_vector(z: ArrayLike | Sequence[Rational], n: int) -> list[Fraction]:
     """
     values: list[Any] = list(z)  # type: ignore[arg-type]
     if len(values) != n:
-        raise InvalidProblem(
-            f"z must have length {n}, got length {len(values)}; give one number a row"
-        )
+        raise InvalidProblem(f"z must have length {n}, got {len(values)}; give one number a row")
     try:
         return [Fraction(value) for value in values]
     except (TypeError, ValueError, OverflowError) as error:
-        raise InvalidProblem(
-            f"z must consist of finite real numbers, got a value that is not finite: {error}"
-        ) from error
+        raise InvalidProblem(f"z must consist of finite numbers: {error}") from error
 
 
 def rounded_down(value: Fraction | None) -> float:
@@ -176,10 +172,8 @@ def rational_rows(matrix: AnyMatrix) -> list[Row]:
     """Return the rows of an array or sparse array as dictionaries column → entry."""
     rows = sp.csr_array(matrix)
     columns, entries, pointer = rows.indices.tolist(), rows.data.tolist(), rows.indptr.tolist()
-    return [
-        {columns[k]: Fraction(entries[k]) for k in range(pointer[i], pointer[i + 1]) if entries[k]}
-        for i in range(rows.shape[0])
-    ]
+    spans = pairwise(pointer)
+    return [{columns[k]: Fraction(entries[k]) for k in range(*s) if entries[k]} for s in spans]
 
 
 def products(rows: Sequence[Row], vector: Sequence[Fraction]) -> Iterator[Fraction]:
@@ -232,12 +226,8 @@ def exact_residuals(problem: LCP, z: ArrayLike | Sequence[Rational]) -> list[Fra
     exact, units = exact_vector(z, problem.n), problem.residual_scale.tolist()
     bounds = problem.lower.tolist(), problem.upper.tolist()
     # The comparison of a fraction with ±∞ is exact as well.
-    return [
-        abs(x - Fraction(min(max(x - w / Fraction(d), lower), upper)))
-        for x, w, d, lower, upper in zip(
-            exact, exact_slack(problem, exact), units, *bounds, strict=True
-        )
-    ]
+    rows = zip(exact, exact_slack(problem, exact), units, *bounds, strict=True)
+    return [abs(x - Fraction(min(max(x - w / Fraction(d), l), u))) for x, w, d, l, u in rows]
 
 
 def is_exact_solution(problem: LCP, z: ArrayLike | Sequence[Rational]) -> bool:
@@ -288,9 +278,7 @@ def exact_rows(M: AnyMatrix) -> Rows:
 def exact_symmetric_part(M: AnyMatrix) -> Rows:
     """Return M + Mᵀ as integers, each row times a power of two."""
     rows = _whole(M)
-    return [
-        shortened([entry + rows[j][i] for j, entry in enumerate(row)]) for i, row in enumerate(rows)
-    ]
+    return [shortened([a + rows[j][i] for j, a in enumerate(row)]) for i, row in enumerate(rows)]
 
 
 def _whole(M: AnyMatrix) -> Rows:
@@ -316,9 +304,7 @@ def has_nonnegative_pivots(matrix: Rows, *, is_strict: bool = False) -> bool:
         pivot = matrix[0][0]
         if pivot < 0 or (pivot == 0 and (is_strict or any(matrix[0]))):
             return False
-        matrix, before = (
-            (eliminated(matrix, before), pivot) if pivot else (_without_first(matrix), before)
-        )
+        matrix, before = (eliminated(matrix, before), pivot) if pivot else (_rest(matrix), before)
     return True
 
 
@@ -329,24 +315,20 @@ def has_positive_minors(matrix: Rows, before: int = 1) -> bool:
     pivot = matrix[0][0]
     if pivot <= 0:
         return False
-    return has_positive_minors(_without_first(matrix), before) and has_positive_minors(
-        eliminated(matrix, before), pivot
-    )
+    is_first = has_positive_minors(_rest(matrix), before)
+    return is_first and has_positive_minors(eliminated(matrix, before), pivot)
 
 
 def eliminated(matrix: Rows, before: int) -> Rows:
     """Return the Schur complement of the first pivot times that pivot, all of it divided by the pivot before."""
-    top = matrix[0]
+    (pivot, *top), *rows = matrix
     return [
-        [
-            (top[0] * entry - row[0] * above) // before
-            for entry, above in zip(row[1:], top[1:], strict=True)
-        ]
-        for row in matrix[1:]
+        [(pivot * entry - first * above) // before for entry, above in zip(row, top, strict=True)]
+        for first, *row in rows
     ]
 
 
-def _without_first(matrix: Rows) -> Rows:
+def _rest(matrix: Rows) -> Rows:
     return [row[1:] for row in matrix[1:]]
 
 
@@ -431,9 +413,7 @@ def _inverse(matrix: Integers, prime: int) -> Integers | None:
     return work[np.argsort(columns), k:] if len(columns) == k else None
 
 
-def _lifted(
-    A: IntegerRows, b: Sequence[int], inverse: Integers, prime: int
-) -> list[Fraction] | None:
+def _lifted(A: IntegerRows, b: Sequence[int], inverse: Integers, prime: int) -> Fractions | None:
     limbs = _limbs(A)
     residual = np.array([int(value) for value in b], dtype=object)
     x = np.zeros(len(A), dtype=object)
@@ -458,14 +438,12 @@ def _lifted(
 def _limbs(A: IntegerRows) -> list[Integers]:
     """Return A in base 2^22, lowest first, so that products with digits below 2^25 add up in 64 bits."""
     longest = max((abs(a).bit_length() for row in A for a in row), default=0)
-    mask = (1 << LIMB) - 1
-    return [
-        np.array(
-            [[(abs(a) >> shift & mask) * (1 if a >= 0 else -1) for a in row] for row in A],
-            dtype=np.int64,
-        )
-        for shift in range(0, max(longest, 1), LIMB)
-    ]
+    shifts = range(0, max(longest, 1), LIMB)
+
+    def limb(a: int, shift: int) -> int:
+        return (abs(a) >> shift & (1 << LIMB) - 1) * (1 if a >= 0 else -1)
+
+    return [np.array([[limb(a, shift) for a in row] for row in A], np.int64) for shift in shifts]
 
 
 def _product(limbs: list[Integers], digit: Integers) -> Any:

@@ -23,19 +23,8 @@ from ..core.entries import max_norm, row_numbers, scale_matrix
 from ..core.kernels.floats import DATA_ROUNDING
 from ..engines.linear_program import highs
 from ..systems.equilibration import EQUILIBRATING_PASSES, equilibrating_exponents, power_of_two
-from .exact import (
-    MOST_UNKNOWNS,
-    ZERO,
-    IntegerMatrix,
-    Rational,
-    common_denominator,
-    exact_power_of_two,
-    integers,
-    rational_rows,
-    rounded_down,
-    short,
-    solved_nearby,
-)
+from . import exact
+from .exact import ZERO, IntegerMatrix, Rational, common_denominator, exact_power_of_two
 
 DECISIVE = 1e-3  # no tolerance in use is as large: the search ends if one row has this margin
 WIDE = 1e8  # times the size of the data: a proof within a smaller radius does not count
@@ -79,10 +68,8 @@ class LinearConstraints:
         rows, matrix = row_numbers(self.matrix), self.matrix
         with np.errstate(all="ignore"):
             ends = [matrix.data * bound[matrix.indices] for bound in (self.lower, self.upper)]
-            lowest, highest = (
-                np.bincount(rows, weights=side(*ends), minlength=self.q.size) + self.q
-                for side in (np.minimum, np.maximum)
-            )
+            sides = (side(*ends) for side in (np.minimum, np.maximum))
+            lowest, highest = (np.bincount(rows, side, self.q.size) + self.q for side in sides)
             below = np.where(self.needs_rise, -highest, -np.inf)
             most = np.maximum(below, np.where(self.needs_fall, lowest, -np.inf))
             suspects = np.flatnonzero(most > 0.0)
@@ -161,7 +148,7 @@ class FarkasCertificate:
     def radius(self) -> float:
         """Bound of the |x_j| without bounds that the proof covers: ∞, or the value that leaves half the margin."""
         left = sum(map(abs, self.left.values()))
-        return rounded_down(max(self.plain, ZERO) / (2 * left) if left else None)
+        return exact.rounded_down(max(self.plain, ZERO) / (2 * left) if left else None)
 
     @property
     def size(self) -> Fraction:
@@ -189,11 +176,9 @@ class FarkasCertificate:
     @property
     def holds_near(self) -> bool:
         """True if it is a proof for all x, or within a radius that is wide and leaves sums at rounding level."""
-        return (
-            self.has_signs and self.size > 0 and self.is_rounding() and self.is_wide_beside_terms()
-        )
+        return self.has_signs and self.size > 0 and self.is_rounding() and self.is_wide()
 
-    def is_wide_beside_terms(self, known: Mapping[int, float] | None = None) -> bool:
+    def is_wide(self, known: Mapping[int, float] | None = None) -> bool:
         """Return whether x of 10⁸ times the size that it has itself leaves half the contradiction.
 
         That size is Σ|y_i q_i| / Σ|y_i m_ij|, at which the terms of column j are as large as the terms of q, or a known
@@ -217,10 +202,8 @@ class FarkasCertificate:
         if not left:
             return True
         largest, _, terms = self.sizes
-        return all(
-            abs(value) <= largest * Fraction(DATA_ROUNDING * float(terms[j]))
-            for j, value in left.items()
-        )
+        levels = ((value, DATA_ROUNDING * float(terms[j])) for j, value in left.items())
+        return all(abs(value) <= largest * Fraction(level) for value, level in levels)
 
     def miss(self, weights: Vector) -> float:
         """Return the least violation, by any x, in these units, rounded down; 0 after overflow."""
@@ -228,12 +211,12 @@ class FarkasCertificate:
         if not all(map(math.isfinite, used)):
             return 0.0
         whole, denominator = common_denominator([abs(value) for value in self.y.values()])
-        return rounded_down(self.size * denominator / exact_dot(whole, used))
+        return exact.rounded_down(self.size * denominator / exact_dot(whole, used))
 
 
 def exact_dot(factors: Sequence[int], values: Sequence[float]) -> Fraction:
     """Return Σ factor · value without rounding; the values are finite."""
-    whole, exponent = integers(np.array(values, dtype=np.float64))
+    whole, exponent = exact.integers(np.array(values, dtype=np.float64))
     return exact_power_of_two(exponent) * sum(map(operator.mul, factors, whole))
 
 
@@ -310,10 +293,8 @@ class FarkasProgram:
             (-1.0, np.isfinite(asked.lower), asked.lower / self.columns, of_lower),
         )
         signs, masks, costs, norms = zip(*parts, strict=True)
-        cost, norm = (
-            np.concatenate([v[k] for v, k in zip(side, masks, strict=True)])
-            for side in (costs, norms)
-        )
+        kept = ([v[k] for v, k in zip(side, masks, strict=True)] for side in (costs, norms))
+        cost, norm = map(np.concatenate, kept)
         places = np.arange(q.size), np.arange(q.size), *[np.arange(q.size, q.size + n)] * 2
         self.place = np.concatenate([p[k] for p, k in zip(places, masks, strict=True)])
         # HiGHS drops coefficients below 1e-9
@@ -374,14 +355,10 @@ class FarkasProgram:
         size, largest = shares.size, 0.1 * shares.size / self.norm.sum()
         both = sp.hstack([sp.eye_array(size), sp.csc_array(shares[:, None])], format="csc")
         # Enough in spite of rounding
-        result = linear_program(
-            np.append(np.zeros(size), -1.0),
-            self.equations @ both,
-            0.0,
-            (0.0, np.append(np.full(size, np.inf), largest)),
-            (np.stack([self.norm, self.cost]) @ both, [1.0, 0.55 * answer.fun]),
-            self.pivots,
-        )
+        cost, most = np.append(np.zeros(size), -1.0), np.append(np.full(size, np.inf), largest)
+        at_most = np.stack([self.norm, self.cost]) @ both, [1.0, 0.55 * answer.fun]
+        equations = self.equations @ both
+        result = linear_program(cost, equations, 0.0, (0.0, most), at_most, self.pivots)
         return None if result is None or result.fun > -LP_TOLERANCE else np.asarray(both @ result.x)
 
     def candidates(self, y: Vector) -> Iterator[Multipliers]:
@@ -421,16 +398,16 @@ class FarkasProgram:
     def _repaired(self, y: Vector) -> list[Fraction] | None:
         """Return a vector near y that satisfies exactly the (in)equalities which y satisfies without slack."""
         support, equalities = self._tight(y)
-        if min(support.size, equalities.size) > MOST_UNKNOWNS:
+        if min(support.size, equalities.size) > exact.MOST_UNKNOWNS:
             return None
-        columns = rational_rows(self.matrix.T.tocsr()[equalities][:, support])
+        columns = exact.rational_rows(self.matrix.T.tocsr()[equalities][:, support])
         # Any nearby value will do: short ones keep the exact solve short.
-        near = short(y[support], 1 << 50)
-        exact = solved_nearby(columns, [ZERO] * len(columns), near, [True] * support.size)
-        if exact is None:
+        near = exact.short(y[support], 1 << 50)
+        solved = exact.solved_nearby(columns, [ZERO] * len(columns), near, [True] * support.size)
+        if solved is None:
             return None
         unscaled = [ZERO] * self.rows.size
-        for i, value in zip(support.tolist(), exact, strict=True):
+        for i, value in zip(support.tolist(), solved, strict=True):
             unscaled[i] = value * Fraction(float(self.rows[i]))
         return unscaled
 
@@ -496,12 +473,7 @@ def pivot_limit(size: int) -> int:
 
 
 def linear_program(
-    cost: Vector,
-    equations: Any,
-    right: Vector | float,
-    bounds: Array,
-    at_most: tuple[Any, Any],
-    pivots: int | None = None,
+    cost: Vector, equations: Any, right: Any, bounds: Array, at_most: Any, pivots: int | None = None
 ) -> Any:
     """Return HiGHS's result of min costᵀv, equations · v = right, rows · v ≤ limits; None if it has no optimum.
 
@@ -518,15 +490,11 @@ def linear_program(
     if not cost.size or not np.isfinite(cost).all() or not np.isfinite(equations.data).all():
         return None
     size = cost.size + equations.shape[0] + at_most[0].shape[0]
-    result = highs(
-        cost,
-        *at_most,
-        equations,
-        np.broadcast_to(right, equations.shape[0]),
-        (np.broadcast_to(bounds[0], cost.size), np.broadcast_to(bounds[1], cost.size)),
-        primal_feasibility_tolerance=LP_TOLERANCE,
-        dual_feasibility_tolerance=LP_TOLERANCE,
-        maxiter=pivots or pivot_limit(size),
-        time_limit=left if math.isfinite(left := seconds_left()) else None,
-    )
+    right = np.broadcast_to(right, equations.shape[0])
+    names = "primal_feasibility_tolerance", "dual_feasibility_tolerance"
+    options: Any = dict.fromkeys(names, LP_TOLERANCE) | {"maxiter": pivots or pivot_limit(size)}
+    if math.isfinite(left := seconds_left()):
+        options["time_limit"] = left
+    ends = np.broadcast_to(bounds[0], cost.size), np.broadcast_to(bounds[1], cost.size)
+    result = highs(cost, at_most[0], at_most[1], equations, right, ends, **options)
     return result if result.status == 0 else None

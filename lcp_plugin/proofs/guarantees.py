@@ -110,10 +110,8 @@ def row_bound(facts: IterationFacts, problem: LCP) -> RowBound:
 
 def numbers(facts: IterationFacts) -> tuple[float, float]:
     """Return (α, β); (1, 1) if they are determined during the run, which has the theorem of Gauss–Seidel."""
-    return (
-        1.0 if facts.relaxation is None else float(facts.relaxation),
-        1.0 if facts.acceleration is None else float(facts.acceleration),
-    )
+    alpha, beta = facts.relaxation, facts.acceleration
+    return 1.0 if alpha is None else float(alpha), 1.0 if beta is None else float(beta)
 
 
 #: A rate, None if it rounds to 1, and the weights v of ‖·‖_v, None without a rate.
@@ -143,10 +141,9 @@ def contraction(facts: IterationFacts, problem: LCP, v: Vector) -> Contraction |
     bound = row_bound(facts, problem)
     # a bound of the underflow in a difference of two triangle sums of v
     lost = 4.0 * terms * (1.0 + float(v.max(initial=0.0))) * TINY
-    least_gaps = [
-        float(gaps(bound, v, (updated + lost, remaining + lost), terms).min(initial=1.0))
-        for updated, remaining in passes["forward" if has_splitting else facts.sweep]
-    ]
+    pairs = passes["forward" if has_splitting else facts.sweep]
+    with_lost = ((updated + lost, remaining + lost) for updated, remaining in pairs)
+    least_gaps = [float(gaps(bound, v, pair, terms).min(initial=1.0)) for pair in with_lost]
     if not min(least_gaps) > 0.0:
         return None
     # an upper bound of each contraction; a sweep that moves nothing has the rate 0

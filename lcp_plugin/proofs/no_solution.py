@@ -233,19 +233,14 @@ def margins_of(problem: LCP, path: Mapping[int, str], certificate: FarkasCertifi
     Every z has Σ share_i |r_i(z)| ≥ c, r the scaled residual, and c the size of the contradiction. The absolute
     margin is c / Σ share_i, the relative margin c / Σ share_i ‖r_P(z°)‖∞, P the component of row i.
     """
-    scale, most = problem.residual_scale, row_data(problem).references[1]
+    d, most = problem.residual_scale, row_data(problem).references[1]
     is_safe = (most == 0.0) | ((most > SAFE_RANGE[0]) & (most < SAFE_RANGE[1]))
     if not is_safe.all():  # a reference may be rounded to 0, or to ∞
         return 0.0, 0.0
-    shares = [
-        (i, abs(value) * Fraction(float(scale[i])))
-        for i, value in certificate.y.items()
-        if path.get(i) not in (LOWER, UPPER)
-    ] + [
-        (i, abs(value))
-        for i, value in certificate.product.items()
-        if path.get(i) == (LOWER if value > 0 else UPPER)
-    ]  # of z_i from its bound
+    y, product, held = certificate.y, certificate.product, (LOWER, UPPER)
+    shares = [(i, abs(v) * Fraction(float(d[i]))) for i, v in y.items() if path.get(i) not in held]
+    # of z_i from its bound
+    shares += [(i, abs(v)) for i, v in product.items() if path.get(i) == held[v < 0]]
     reference = np.broadcast_to(most, (problem.n,))
     relative = sum((share * Fraction(float(reference[i])) for i, share in shares), ZERO)
     absolute = sum((share for _, share in shares), ZERO)
@@ -336,17 +331,13 @@ class Infeasibility(NoSolutionProof):
         problem, n = self.problem, self.problem.n
         identity, nothing = sp.eye_array(n), np.zeros(n)
         rises, falls = problem.upper == np.inf, problem.lower == -np.inf
-        signs = np.where(rises, 1.0, -1.0)
-        rows = LinearConstraints(
-            sp.csr_array(sp.vstack([sp.diags_array(signs) @ problem.csr, identity, -identity])),
-            np.concatenate([signs * problem.q, -problem.lower, problem.upper]),
-            np.concatenate([rises | falls, ~falls, ~rises]),
-            np.concatenate([rises & falls, nothing > 0.0, nothing > 0.0]),
-            nothing - np.inf,
-            nothing + np.inf,
-            np.ones(3 * n),
-            (nothing, nothing),
-        )
+        signs, no = np.where(rises, 1.0, -1.0), np.zeros(n, np.bool_)
+        matrix = sp.vstack([sp.diags_array(signs) @ problem.csr, identity, -identity], "csr")
+        q = np.concatenate([signs * problem.q, -problem.lower, problem.upper])
+        needs_rise = np.concatenate([rises | falls, ~falls, ~rises])
+        needs = needs_rise, np.concatenate([rises & falls, no, no])
+        free, units = (nothing - np.inf, nothing + np.inf), np.ones(3 * n)
+        rows = LinearConstraints(sp.csr_array(matrix), q, *needs, *free, units, (nothing, nothing))
         y = {i: value * int(signs[i]) for i, value in self._used.items()}
         for j, value in self._certificate.product.items():
             if j not in self._certificate.left:

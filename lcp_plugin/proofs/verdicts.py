@@ -49,25 +49,11 @@ from ..core.matrix import Matrix, fact
 from ..core.problem_classes import class_of, refusal
 from ..core.rounding import lower_end, upper_end
 from ..core.structure import triangular_form
-from ..systems import graph
-from ..systems.definiteness import (
-    LARGEST_SUMMAND,
-    is_positive_definite,
-    is_semidefinite_to_rounding,
-    semidefinite_margin,
-    symmetric_part,
-)
+from ..systems import definiteness, graph
+from ..systems.definiteness import is_positive_definite
 from ..systems.factors import factor_fits
 from ..systems.graph import ComparisonMatrix
-from .exact import (
-    EXACT_SIZE,
-    exact_rows,
-    exact_symmetric_part,
-    has_nonnegative_pivots,
-    has_positive_minors,
-    rounded_down,
-    shortened,
-)
+from . import exact
 
 EXACT_ROWS = 2_000  # ambiguous rows that are worth an exact sum
 TOLERANCES = 0.1, 1e-3, 1e-7  # of the solves, if they iterate: a loose tolerance is often enough
@@ -152,14 +138,13 @@ def positive_margin(M: AnyMatrix, v: Vector) -> Vector | None:
     """Return a rigorous lower bound of ⟨M⟩v if it is positive on every row and v > 0, else None."""
     if not ((v > 0.0) & np.isfinite(v)).all():
         return None
-    value, radius = graph.comparison_product(M, v)
-    margin = lower_end(value, radius)
+    margin = lower_end(*graph.comparison_product(M, v))
     doubtful = np.flatnonzero(~(margin > 0.0))
     if doubtful.size > EXACT_ROWS:
         return None
     for row in doubtful:
-        exact = graph.exact_comparison_row(M, v, int(row))
-        margin[row] = rounded_down(exact) if exact > 0 else 0.0
+        value = graph.exact_comparison_row(M, v, int(row))
+        margin[row] = exact.rounded_down(value) if value > 0 else 0.0
         if not margin[row] > 0.0:
             return None
     return margin
@@ -169,11 +154,9 @@ def is_nonpositive(M: AnyMatrix, y: Vector) -> bool:
     """Return whether ⟨M⟩y ≤ 0 is proven on every row, for y ≥ 0, y ≠ 0."""
     if not (np.isfinite(y).all() and (y >= 0.0).all() and y.any()):
         return False
-    value, radius = graph.comparison_product(M, y)
-    doubtful = np.flatnonzero(~(upper_end(value, radius) <= 0.0))
-    return doubtful.size <= EXACT_ROWS and all(
-        graph.exact_comparison_row(M, y, int(row)) <= 0 for row in doubtful
-    )
+    doubtful = np.flatnonzero(~(upper_end(*graph.comparison_product(M, y)) <= 0.0))
+    sums = (graph.exact_comparison_row(M, y, int(row)) for row in doubtful)
+    return doubtful.size <= EXACT_ROWS and all(value <= 0 for value in sums)
 
 
 def _centered(v: Vector) -> Vector:
@@ -203,11 +186,11 @@ def is_p_matrix_by_recursion(M: AnyMatrix) -> bool | None:
     """
     if not (M.diagonal() > 0.0).all():
         return False
-    columns = [shortened(column) for column in zip(*exact_rows(M), strict=True)]
+    columns = [exact.shortened(column) for column in zip(*exact.exact_rows(M), strict=True)]
     rows = [list(row) for row in zip(*columns, strict=True)]
     bits = max((entry.bit_length() for row in rows for entry in row), default=0)
     # Entries beyond 160 bits are too long for more than 10 rows
-    return None if len(rows) > 10 and bits > 160 else has_positive_minors(rows)
+    return None if len(rows) > 10 and bits > 160 else exact.has_positive_minors(rows)
 
 
 SYMMETRIC_TO_ROUNDING = 64 * UNIT  # relative
@@ -306,16 +289,14 @@ def positive_definite(matrix: Matrix) -> Verdict:
     if not can_factorize(matrix):
         return Verdict(None, _too_large(matrix))
     value = is_positive_definite(symmetric_part_of(matrix)) if _is_well_rounded(matrix) else None
-    if value is None and matrix.n <= EXACT_SIZE:
-        value = has_nonnegative_pivots(exact_symmetric_part(matrix.csr), is_strict=True)
+    if value is None and matrix.n <= exact.EXACT_SIZE:
+        value = exact.has_nonnegative_pivots(exact.exact_symmetric_part(matrix.csr), is_strict=True)
         return Verdict(value, f"exact elimination of {what}")
     if value is None:
         return Verdict(None, f"{UNDECIDED}: {what}")
     if value:
-        return Verdict(
-            True,
-            f"{'SPD: ' if symmetric(matrix).value else ''}{what} has a Cholesky factor, with rounding margin",
-        )
+        kind = "SPD: " * bool(symmetric(matrix).value)
+        return Verdict(True, f"{kind}{what} has a Cholesky factor, with rounding margin")
     return Verdict(False, f"{what} has no Cholesky factor, rounding margin included")
 
 
@@ -332,13 +313,13 @@ def positive_semidefinite(matrix: Matrix) -> Verdict:
     if not can_factorize(matrix):
         return Verdict(None, _too_large(matrix))
     part = symmetric_part_of(matrix)
-    value = is_semidefinite_to_rounding(part) if _is_well_rounded(matrix) else None
-    if value is not False and matrix.n <= EXACT_SIZE:
-        is_so = has_nonnegative_pivots(exact_symmetric_part(matrix.csr))
+    value = definiteness.is_semidefinite_to_rounding(part) if _is_well_rounded(matrix) else None
+    if value is not False and matrix.n <= exact.EXACT_SIZE:
+        is_so = exact.has_nonnegative_pivots(exact.exact_symmetric_part(matrix.csr))
         what = "M" if symmetric(matrix).value else "the symmetric part of M"
         return Verdict(is_so, f"λ_min {'≥' if is_so else '<'} 0: exact elimination of {what}")
     if value:
-        delta = semidefinite_margin(part)
+        delta = definiteness.semidefinite_margin(part)
         return Verdict(None, f"undecided: λ_min ≥ −{delta:.3g}, below which the test cannot decide")
     if value is None and not _is_well_rounded(matrix):
         return Verdict(None, "undecided: the numbers are near the ends of the range of doubles")
@@ -395,10 +376,9 @@ def nonpositive_pair(matrix: Matrix) -> Verdict | None:
     ratios = sp.coo_array(sp.triu(even.multiply(even.T.tocsr()), 1))
     suspicious = np.flatnonzero(ratios.data > 1.0 - 8.0 * UNIT)
     likeliest = suspicious[np.argsort(-ratios.data[suspicious], kind="stable")][:2_000]
-    for k in likeliest:
-        i, j = int(ratios.row[k]), int(ratios.col[k])
-        exact = [Fraction(float(M[place])) for place in ((i, i), (j, j), (i, j), (j, i))]
-        if exact[0] * exact[1] - exact[2] * exact[3] <= 0:
+    for i, j in zip(ratios.row[likeliest].tolist(), ratios.col[likeliest].tolist(), strict=True):
+        first, second, *others = (Fraction(float(M[k])) for k in ((i, i), (j, j), (i, j), (j, i)))
+        if first * second <= others[0] * others[1]:
             return Verdict(False, f"the principal minor of rows {i}, {j} is not positive")
     return None
 
@@ -433,7 +413,7 @@ def _is_well_rounded(matrix: Matrix) -> bool:
     if symmetric(matrix).value:
         return True
     diagonal, entries = matrix.diagonal[matrix.diagonal > 0.0], matrix.csr.data
-    return bool((diagonal >= 2.0**-960).all() and max_norm(entries) < LARGEST_SUMMAND)
+    return bool((diagonal >= 2.0**-960).all() and max_norm(entries) < definiteness.LARGEST_SUMMAND)
 
 
 def _too_large(matrix: Matrix) -> str:
@@ -445,7 +425,7 @@ def sparse_symmetric_part(matrix: Matrix) -> Any:
     """(M + Mᵀ)/2 as CSR, each entry rounded once."""
     if symmetric(matrix).value:
         return matrix.csr
-    part = symmetric_part(matrix.csr)
+    part = definiteness.symmetric_part(matrix.csr)
     part.data.flags.writeable = False
     return part
 
@@ -528,14 +508,12 @@ class MatrixReport:
     @property
     def v(self) -> Vector | None:
         """See the class."""
-        certificate = comparison_certificate(self.matrix)
-        return None if certificate is None else certificate.v
+        return getattr(comparison_certificate(self.matrix), "v", None)
 
     @property
     def margin(self) -> Vector | None:
         """See the class."""
-        certificate = comparison_certificate(self.matrix)
-        return None if certificate is None else certificate.margin
+        return getattr(comparison_certificate(self.matrix), "margin", None)
 
     @property
     def evidence(self) -> dict[str, str]:

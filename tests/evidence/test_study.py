@@ -303,8 +303,8 @@ def test_a_figure_without_data_is_refused_in_words(tmp_path):
 study(5, ["psor"]) → InvalidOption: problems must be problems
 study(QuadraticProgram(np.eye(2), [1.0, 1.0]), ["psor"]) → InvalidOption: QuadraticProgram
 study(chain, ["psr"], [4]) → UnknownAlgorithm: did you mean 'psor'
-study(chain, 5, [4]) → InvalidOption: methods must be names .* got 5; write \["psor"\]
-study(chain, [3], [4]) → InvalidOption: a method is a name, an Algorithm object
+study(chain, 5, [4]) → InvalidOption: methods must be names .* got 5
+study(chain, [3], [4]) → InvalidOption: a method is a name, Algorithm or
 study(chain, ["psor"], [0]) → InvalidOption: each of sizes must be an integer ≥ 1
 study(chain, ["psor"], [4], tolerance=-1.0) → InvalidOption: tolerance must be
 study(chain, ["psor"], [4], stopping="Res") → InvalidOption: stopping must be one of criterion, paper

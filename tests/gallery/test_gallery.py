@@ -76,7 +76,7 @@ def test_description_is_one_line_and_every_parameter_is_documented():
 gallery.build("obstacle2d") → unknown test problem 'obstacle2d'; did you mean 'obstacle_2d'\? \(known: half_active
 gallery.build("obstacle_2d", siez=9)
     → test problem 'obstacle_2d' has no parameter 'siez'; did you mean 'size'\?.*shifted
-gallery.build("obstacle_2d", size=0) → test problem 'obstacle_2d': size must be an integer ≥ 1, as 100, got 0
+gallery.build("obstacle_2d", size=0) → problem 'obstacle_2d': size must be an integer ≥ 1, as 100, got 0
 gallery.build("obstacle_2d", shifted=1) → shifted must be true or false, as False, got 1
 gallery.build("paper_example_1", n=99) → n must be a perfect square, got 99
 gallery.build("paper_example_1", delta=np.nan) → delta must be a finite number, as 4.0, got nan

@@ -482,8 +482,8 @@ def agent(cost: Any, *rows: Any, **given: Any) -> Any:
 
 @refusals(r"""
 solved([agent((x - y) ** 2, over=[x])]) → list them in over=
-agent(x**2, over=[y]) → does not occur
-agent(x**2, over=[2 * x]) → neither a variable nor entries
+agent(x**2, over=[y]) → not a variable of the program
+agent(x**2, over=[2 * x]) → needs variables or entries of them
 agent(x**2, over=[]) → over must be
 optimal(x**2, over=[x]) → cvxpy problem
 solved([agent(x, cp.SOC(y, cp.hstack([x, 1])), over=[x])]) → second-order cone as cp.sum_squares
@@ -492,7 +492,7 @@ agent(x, over=None) → list of variables
 agent(x, over=[x], shared=None) → list of constraints
 agent(x, over=np.array(1.0)) → list of variables
 agent(x, over=[x], shared=np.array(1.0)) → list of constraints
-agent(x**2, over=[x], shared=[x >= 0]) → not a constraint of the program
+agent(x**2, over=[x], shared=[x >= 0]) → not in the program; list it in both
 solved([agent(cp.power(x, cp.Parameter(value=2)), over=[x])]) → no derivative reaches
 solved([agent(x + cp.norm(cp.hstack([x, 1])), over=[x])]) → sum_squares
 solved([agent(cp.square(x) - cp.abs(x), over=[x])]) → not smooth

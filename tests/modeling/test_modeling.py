@@ -241,7 +241,7 @@ def test_rows_and_bounds_without_a_pair_are_taken_with_any_objective(goal):
     excluded = cp.Problem(cp.Minimize(goal(x)), [pair, x[1] >= 0.2])
     excluded.solve(method="LCP")
     assert excluded.status == cp.INFEASIBLE
-    with pytest.raises(UnsupportedModel, match="does not belong to a complementarity"):
+    with pytest.raises(UnsupportedModel, match="has no pair"):
         LCP.from_cvxpy(cp.Problem(cp.Minimize(0), [pair, z >= 0.2]))
 
 
@@ -250,7 +250,7 @@ def test_an_objective_states_no_single_lcp():
     x = cp.Variable(3, name="x")
     with pytest.raises(
         UnsupportedModel,
-        match=r"objective sum\(x\).* best of all solutions.*solve\(method=\"LCP\"\)",
+        match=r"objective sum\(x\).*solve\(method=\"LCP\"\).* best of all solutions",
     ):
         LCP.from_cvxpy(cp.Problem(cp.Minimize(cp.sum(x)), [pair_of(x)]))
 
@@ -259,7 +259,7 @@ def test_a_bound_beyond_the_doubles_is_refused_by_its_side():
     """The side that states it is named."""
     x = cp.Variable(name="x")
     problem = cp.Problem(cp.Minimize(0), [complements(1e-200 * x >= 1e200, 1e200 * x - 1 >= 0)])
-    with pytest.raises(UnsupportedModel, match=r"^1e\+200 <= 1e-200 [*@] x has .*largest double"):
+    with pytest.raises(UnsupportedModel, match=r"bound of 1e\+200 <= 1e-200 [*@] x is .*overflows"):
         problem.solve(method="LCP")
 
 
@@ -481,7 +481,7 @@ def test_a_forgotten_nonneg_is_warned_of(other):
     x = cp.Variable(2, name="x")
     problem = cp.Problem(cp.Minimize(0), [complements(x, other(x))])
     with pytest.warns(
-        ModelWarning, match=r"x has no bounds, so that complements\(x, F\) means F == 0"
+        ModelWarning, match=r"x has no bounds: complements\(x, F\) means F == 0"
     ) as caught:
         problem.solve(method="LCP")
     assert [warning.filename for warning in caught] == [__file__]
@@ -555,7 +555,7 @@ complements(None, x) → None
 complements(x >= 0, -np.ones(3) >= 0) → Booleans, \[False False False\].*Constant
 complements([True, False, True], x) → Booleans
 box(None, 0, 1) → not a cvxpy expression
-complements(p.constraints[0], x) → is complements\(.*\); it must be an
+complements(p.constraints[0], x) → is complements\(.*\); write <=
 """)
 def test_misuse_is_told(call, words):
     """Unsupported methods, flags and objects raise errors with a message."""

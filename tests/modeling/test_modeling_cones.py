@@ -128,14 +128,14 @@ complements(cp.SOC(t, x), x - 1) → same shape, got \(3,\)
 complements(friction_cone(y, 1.0), cp.SOC(t, x)) → needs the velocities u
 friction_cone(cp.Variable((2, 3)), 1.0) → needs a vector of impulses
 friction_cone(cp.Variable(7), 1.0) → multiple of
-friction_cone(cp.Variable(6), [1.0, 2.0, 3.0], dimension=3) → one per contact of 3 rows
+friction_cone(cp.Variable(6), [1.0, 2.0, 3.0], dimension=3) → one per 3 rows
 solved(complements(cp.SOC(t, x), cp.exp(cp.hstack([t, x])))) → must be affine
 solved(complements(cp.SOC(t, x), cp.hstack([t, x])), complements(y >= 0, cp.exp(y) >= 2)) → with affine sides only
 solved(complements(friction_cone(y, 1.0), y - 1), complements(x >= 0, x)) → has impulses as its only unknowns
 solved(complements(friction_cone(y, -1.0), y - 1)) → not be negative
 cp.Problem(cp.Minimize(t), [complements(cp.SOC(t, x), cp.hstack([t, x]))]).solve(method='LCP')
     → the best of its solutions cannot be computed
-solved(complements(cp.SOC(t, (z := cp.Variable(2, nonneg=True))), cp.hstack([t, z]))) → holds variables with bounds
+solved(complements(cp.SOC(t, (z := cp.Variable(2, nonneg=True))), cp.hstack([t, z]))) → has bounds next to a cone
 LCP.from_cvxpy(cp.Problem(cp.Minimize(0), [complements(friction_cone(y, 1.0), y - 1)])) → affine sides without cones
 solved(complements(friction_cone(y, 1.0), y - 1), relaxation=1) → takes no relaxation
 """)

@@ -346,7 +346,7 @@ def test_derivatives_are_at_a_solution_of_the_present_parameters():
         before = {one: one.value for one in change}
         for one, value in change.items():
             one.value = value
-        with pytest.raises(UnsupportedModel, match="solve the problem again"):
+        with pytest.raises(UnsupportedModel, match="solve again"):
             derivative(problem)
         for one, value in before.items():
             one.value = value
@@ -383,16 +383,16 @@ def test_gradients_and_changes_of_another_shape_are_refused(given_gradient):
     problem.solve(method="LCP")
     found = derivative(problem)
     with pytest.raises(
-        UnsupportedModel, match=r"the gradient of x must be finite real numbers of its shape \(2,\)"
+        UnsupportedModel, match=r"the gradient of x must be finite, of its shape \(2,\)"
     ):
         found.vjp({x: given_gradient})
     with pytest.raises(
-        UnsupportedModel, match=r"the change of q must be finite real numbers of its shape \(2,\)"
+        UnsupportedModel, match=r"the change of q must be finite, of its shape \(2,\)"
     ):
         found.jvp({q: given_gradient})
-    with pytest.raises(UnsupportedModel, match="y has no gradient here; give one of x"):
+    with pytest.raises(UnsupportedModel, match="y has no gradient; give x"):
         found.vjp({cp.Variable(name="y"): 1.0})
-    with pytest.raises(UnsupportedModel, match="r has no change here; give one of"):
+    with pytest.raises(UnsupportedModel, match="r has no change; give"):
         found.jvp(r=1.0)
 
 
@@ -400,7 +400,7 @@ def test_what_has_no_solution_has_no_derivative():
     """Before a solve, after another solver's, of an infeasible model and of a program: refused with a way out."""
     q, x = cp.Parameter(value=1.0), cp.Variable()
     model = cp.Problem(cp.Minimize(0), [complements(x >= 0, -x - q >= 0)])
-    with pytest.raises(UnsupportedModel, match=r'call problem.solve\(method="LCP"\) first'):
+    with pytest.raises(UnsupportedModel, match=r"derivative needs a solve"):
         derivative(model)
     model.solve(method="LCP")
     assert model.status == "infeasible"

@@ -398,7 +398,7 @@ def test_a_wrong_rule_is_noticed_and_the_point_kept(monkeypatch):
 
     monkeypatch.setitem(reading.SMOOTH, type(cp.exp(X)), reading._elementary(wrong))
     x = cp.Variable()
-    with pytest.warns(ModelWarning, match="evaluates the model at the solution to other values"):
+    with pytest.warns(ModelWarning, match="evaluates the model to other values"):
         cp.Problem(cp.Minimize(0), [complements(x >= 0, cp.exp(x) - 3 >= 0)]).solve(method="LCP")
     assert x.value == pytest.approx(np.log(1.5))
 

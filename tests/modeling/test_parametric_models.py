@@ -69,7 +69,7 @@ trace(plain, v, 1, 2) → InvalidOption: has 2 entries
 trace(plain, {v: [1, 1]}, 1, 2) → InvalidOption: has no value
 trace(plain, "v", 1, 2) → InvalidOption: is a Parameter
 trace(least(cp.sum_squares(x), x >= p), p, 1, 2).value(cp.Variable(), 1.5)
-    → UnsupportedModel: not a variable of the problem
+    → UnsupportedModel: is not a variable
 trace(least(cp.sum_squares(x), cp.sum(x) >= cp.square(p)), p, 0.0, 1.0)
     → UnsupportedModel: make the nonlinear expression a parameter
 trace(least(cp.sum_squares(x), cp.sum(x) >= p), p, -1.0, 1.0)

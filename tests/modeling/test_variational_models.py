@@ -152,10 +152,10 @@ X = cp.Variable(2)
 @pytest.mark.parametrize(
     ("call", "words"),
     [
-        (lambda: variational(M @ X), r"over=\[x\], constraints=\[…\]"),
+        (lambda: variational(M @ X), r"variational\(F, over=\[x\]\)"),
         (lambda: variational(M[0] @ X, over=[X]), r"got F of \(\) and over of \(2,\)"),
         (lambda: variational(M @ X, over=[X], G=[[1, 1]], h=[3]), r"constraints=\[G @ x <= h"),
-        (lambda: variational(M @ X, over=[X], constraints=3), r"write constraints=\[G @ x <= h\]"),
+        (lambda: variational(M @ X, over=[X], constraints=3), r"a list as \[G @ x <= h\]"),
         (
             lambda: variational(X, over=[X], constraints=[complements(X >= 0, X + 1 >= 0)]),
             "equilibrium",

@@ -10,7 +10,7 @@ import math
 import operator
 from collections.abc import Callable
 from dataclasses import dataclass, replace
-from functools import cached_property, reduce
+from functools import cached_property, partial, reduce
 from itertools import chain, pairwise
 from typing import Any, TypeVar
 
@@ -38,10 +38,8 @@ def evaluated_tree(
     trees: Trees, k: int, leaf: Callable[[int, float], T], operation: Callable[[int, list[T]], T]
 ) -> T:
     """Return the value of tree k, by rules for leaves (type and value) and operators."""
-    part = slice(trees.starts[k], trees.starts[k + 1])
-    columns = (getattr(trees, name)[part][::-1].tolist() for name in ("kinds", "values", "counts"))
     stack: list[T] = []
-    for kind, value, count in zip(*columns, strict=True):
+    for kind, value, count in reversed(trees.tokens(k)):
         if kind != OPERATOR:
             stack.append(leaf(kind, value))
             continue
@@ -68,9 +66,7 @@ class Sum:
         """True if it has no terms."""
         return not self.terms
 
-    def scaled(
-        self, factor: float, operation: Callable[[float, float], float] = operator.mul
-    ) -> Sum:
+    def scaled(self, factor: float, operation: Any = operator.mul) -> Sum:
         """Return the sum times, or divided by, a number."""
         if factor == 1.0:
             return self
@@ -134,18 +130,14 @@ class _ExpressionReader:
         self.definitions: dict[int, Sum] = {}
         self._defined: list[Sum] = []
         self._uses = _counted_uses(content)
-        forests = (content.trees, content.objective_trees, content.defined_trees)
-        size = sum(trees.values.size for trees in forests)
+        rows, goals, defined = content.trees, content.objective_trees, content.defined_trees
+        size = sum(trees.values.size for trees in (rows, goals, defined))
         # Substituted definitions may fill in four times the entries
         self._capacity = 4 * (size + content.defined_linear.nnz + content.linear.nnz) + 1000
-        for k in range(content.defined_trees.size):
+        for k in range(defined.size):
             self._define(k)
-        self.results: list[Sum] = []
-        for trees, name in (
-            (content.trees, content.row),
-            (content.objective_trees, "objective {}".format),
-        ):
-            self.results += [self._sum(trees, k, name(k)) for k in range(trees.size)]
+        self.results = [self._sum(rows, k, content.row(k)) for k in range(rows.size)]
+        self.results += [self._sum(goals, k, f"objective {k}") for k in range(goals.size)]
 
     def _sum(self, trees: Trees, k: int, name: str) -> Sum:
         self._name = name
@@ -201,19 +193,12 @@ class _ExpressionReader:
         elif all(operand.is_constant for operand in operands):
             with np.errstate(all="ignore"):
                 combination = Sum({}, float(rule.value(*map(np.float64, constants))))
-        elif rule is functions.PRODUCT:
-            return self._product(*operands)
-        elif rule is functions.QUOTIENT:
-            return self._quotient(*operands)
-        elif rule is functions.POWER:
-            return self._power(*operands)
         else:
-            return self._new(rule, *operands)
+            cases = {"product": self._product, "quotient": self._quotient, "power of": self._power}
+            return cases.get(rule.name, partial(self._new, rule))(*operands)
         if not np.isfinite(combination.constant):
-            raise UnsupportedModel(
-                f"{self._name} holds {NAMES[number]} of {', '.join(f'{value:g}' for value in constants)}, which is no "
-                "finite number; correct it"
-            )
+            shown = f"{NAMES[number]} of {', '.join(f'{value:g}' for value in constants)}"
+            raise UnsupportedModel(f"{self._name} holds {shown}, which is not finite; correct it")
         return combination
 
     def _product(self, first: Sum, second: Sum) -> Sum:
@@ -246,10 +231,7 @@ class _ExpressionReader:
         """Return a function of sums."""
         below = max(argument.level for argument in arguments)
         if below >= MOST_NESTED:
-            raise UnsupportedModel(
-                f"{self._name} nests more than {MOST_NESTED} functions in one another; give an inner one a "
-                "variable of its own and an equation"
-            )
+            raise UnsupportedModel(f"{self._name} nests {below + 1} functions; give one a variable")
         self.functions.append(function)
         self.arguments.append(arguments)
         self.levels.append(below + 1)
@@ -259,10 +241,9 @@ class _ExpressionReader:
 def _counted_uses(content: NLContent) -> list[int]:
     """Return the number of sums that use each defined variable."""
     n, linear = content.lower.size, content.defined_linear
-    used = [linear.indices[linear.data != 0.0]]
-    for trees in (content.trees, content.objective_trees, content.defined_trees):
-        used.append(trees.values[trees.kinds == Token.VARIABLE].astype(np.int64))
-    columns = np.concatenate(used)
+    forests = content.trees, content.objective_trees, content.defined_trees
+    used = [trees.values[trees.kinds == Token.VARIABLE].astype(np.int64) for trees in forests]
+    columns = np.concatenate([linear.indices[linear.data != 0.0], *used])
     return np.bincount(columns[columns >= n] - n, minlength=content.defined_trees.size).tolist()
 
 

@@ -88,12 +88,10 @@ class SideConditions:
         upper = np.append(content.row_upper[inner], content.upper[self.bounded])
         excesses = np.nan_to_num(excess(values, lower, upper, changes), nan=np.inf, posinf=np.inf)
         bounds = np.where(values < lower, lower, upper)
-        worst = [
-            outside_row(names[k], float(values[k]), float(bounds[k]))._replace(
-                residual=float(excesses[k])
-            )
-            for k in np.flatnonzero(excesses > tolerance).tolist()
-        ]
+        beyond = np.flatnonzero(excesses > tolerance).tolist()
+        found = [outside_row(names[k], float(values[k]), float(bounds[k])) for k in beyond]
+        residuals = zip(found, excesses[beyond].tolist(), strict=True)
+        worst = [row._replace(residual=residual) for row, residual in residuals]
         return sorted(worst, key=lambda row: -row.residual)
 
 
@@ -401,9 +399,7 @@ def certify_values(content: NLContent, tolerance: float) -> Certification:
     """
     for k in np.flatnonzero(~(content.has_start & np.isfinite(content.start)))[:1].tolist():
         value = f"the value {content.start[k]}" if content.has_start[k] else "no value"
-        raise InvalidProblem(
-            f"{content.variable(k)} has {value}; solve the model, or set a number for each variable first"
-        )
+        raise InvalidProblem(f"{content.variable(k)} has {value}; solve, or set a number first")
     statement, start = FileStatement(content), content.start
     is_bounded = np.isfinite(content.lower) | np.isfinite(content.upper)
     bounded = np.flatnonzero(is_bounded & ~statement.is_paired)
@@ -451,12 +447,17 @@ class FileStatement:
     """
 
     def __init__(self, content: NLContent) -> None:
-        self.content, self.n, self.m = (content, content.lower.size, content.row_lower.size)
-        self._refuse_discrete()
+        self.content, self.n, self.m = content, content.lower.size, content.row_lower.size
+        self.pairs = np.flatnonzero(content.partners >= 0)
+        if content.is_integer.any() and not self.pairs.size:
+            name = content.variable(int(np.flatnonzero(content.is_integer)[0]))
+            raise UnsupportedModel(
+                f"{name} is an integer variable; integer variables are supported only in models with "
+                'complementarities, and need SCIP: write SolverFactory("scip"), or give it a continuous domain'
+            )
         low, high = content.row_lower, content.row_upper
         self._check_crossed(content.variable, content.lower, content.upper)
         self._check_crossed(content.row, low, high)
-        self.pairs = np.flatnonzero(content.partners >= 0)
         is_row, is_bounded = content.partners < 0, np.isfinite(low) | np.isfinite(high)
         self.equations = np.flatnonzero(is_row & (low == high))
         self.inequalities = np.flatnonzero(is_row & (low != high) & is_bounded)
@@ -467,23 +468,10 @@ class FileStatement:
         self.expressions = Expressions(content, self.known)
         self.is_affine = self.expressions.is_affine()[: self.m] | self.has_no_bounds
 
-    def _refuse_discrete(self) -> None:
-        content = self.content
-        if content.is_integer.any() and not (content.partners >= 0).any():
-            name = content.variable(int(np.flatnonzero(content.is_integer)[0]))
-            raise UnsupportedModel(
-                f"{name} is an integer variable; integer variables are supported only in models with "
-                "complementarities, and need SCIP: write "
-                'SolverFactory("scip"), or give it a continuous domain'
-            )
-
     def _check_crossed(self, call: Callable[[int], str], low: Vector, high: Vector) -> None:
         """Raise if a lower bound is above an upper bound."""
         for k in np.flatnonzero(low > normalize_bounds(low, high)[1])[:1].tolist():
-            raise UnsupportedModel(
-                f"{call(k)} has the lower bound {low[k]:g} above the upper bound {high[k]:g}: no point satisfies the "
-                "model; correct one of them"
-            )
+            raise UnsupportedModel(f"{call(k)}: lower bound {low[k]:g} > {high[k]:g}; correct one")
 
     def _known(self, leaves_out: BoolVector) -> Vector:
         """Return the values of fixed variables and of variables that occur in no remaining row."""
@@ -554,9 +542,7 @@ class FileStatement:
                 "write it as a complementarity, add an objective, or state one equation per variable without a pair"
             )
         if problem.smooth is not None:
-            raise UnsupportedModel(
-                "the objective is neither linear nor quadratic; convex quadratic ones are taken"
-            )
+            raise UnsupportedModel("the objective is not quadratic; give a convex quadratic one")
         return ProgramModel(content, problem.program, unknowns, self.known, sign, others)
 
     def _parts(self, rows: Indices) -> list[Indices]:
@@ -586,9 +572,8 @@ class FileStatement:
         arrangement = statement.square((~statement.is_paired).astype(np.int64))
         unknowns = expressions.unknowns
         conditions = SideConditions(content, self.inequalities, unknowns[arrangement.dropped])
-        return ComplementarityModel(
-            content, arrangement.problem, unknowns, self.known, arrangement, pairs, conditions
-        )
+        model = content, arrangement.problem, unknowns, self.known
+        return ComplementarityModel(*model, arrangement, pairs, conditions)
 
     def _statement(self) -> Statement:
         """Return the unknowns with their bounds."""
@@ -614,7 +599,6 @@ class FileStatement:
             wrong = np.abs(off) > 2.0**-40 * (sizes + np.abs(right[empty]))
             for k in np.flatnonzero(wrong)[:1]:
                 raise UnsupportedModel(
-                    f"{content.row(empty[k])} holds no unknown, and its sides differ by {off[k]:g}: no point "
-                    "satisfies the model; correct it"
+                    f"{content.row(empty[k])} holds no unknown, and its sides differ by {off[k]:g}; correct it"
                 )
         return equations[~is_empty]

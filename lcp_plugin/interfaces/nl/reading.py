@@ -6,7 +6,6 @@ The two forms give letters, numbers and names in the same order: text line by li
 
 from __future__ import annotations
 
-import io
 import math
 import struct
 from array import array
@@ -29,9 +28,7 @@ from ...core.files import checked_path, opened, read_number
 from ...core.names import Names
 
 CONVERTERS: dict[str, type] = {"i": int, "h": int, "d": float}
-NO_NUMBERS = (
-    "this is neither a number nor a letter of the format, or there are not as many as are needed"
-)
+NO_NUMBERS = "this is neither a number nor a letter of the format, or too few follow"
 
 
 class NLSyntaxError(ValueError):
@@ -43,8 +40,11 @@ class NLSyntaxError(ValueError):
 
 
 class _Form:
-    data: bytes
-    at: int
+    """Items of a file from a byte on; a binary file has a byte order, "<" or ">", as struct writes it."""
+
+    def __init__(self, data: bytes, begin: int, order: str = "") -> None:
+        self.data, self.order = data, order
+        self.at = self._next = begin
 
     def fail(self, what: str) -> NoReturn:
         """Raise NLSyntaxError at the last item read."""
@@ -60,13 +60,6 @@ class TextFormReader(_Form):
     at : int
         The place of the line that has been read last.
     """
-
-    def __init__(self, data: bytes, begin: int) -> None:
-        self.data = data.rstrip() + b"\n"
-        self._file = io.BytesIO(self.data)
-        self._file.seek(begin)
-        self.at = self._next = begin
-        self._words: list[bytes] = []
 
     def letter(self) -> str:
         """Return the first letter of the next line, nothing at the end of the file."""
@@ -84,9 +77,8 @@ class TextFormReader(_Form):
 
     def _line(self) -> bytes:
         self.at = self._next
-        line = self._file.readline()
-        self._next = self.at + len(line)
-        return line.split(b"#")[0] if b"#" in line else line
+        self._next = self.data.find(b"\n", self.at) + 1 or len(self.data)
+        return self.data[self.at : self._next].split(b"#")[0]
 
     def _numbers(self, form: str, words: list[bytes]) -> list[Any]:
         try:
@@ -96,19 +88,7 @@ class TextFormReader(_Form):
 
 
 class BinaryFormReader(_Form):
-    """The segments of a binary file, read as `TextFormReader` is.
-
-    Parameters
-    ----------
-    data : bytes
-    begin : int
-    order : str
-        "<" or ">", as struct writes it.
-    """
-
-    def __init__(self, data: bytes, begin: int, order: str) -> None:
-        self.data, self.order = data, order
-        self.at = self._next = begin
+    """The segments of a binary file, read as `TextFormReader` is."""
 
     def letter(self) -> str:
         """Return the next byte as a letter, nothing at the end of the file."""
@@ -154,20 +134,17 @@ def _table(text: str) -> dict[int, str]:
 #: AMPL's operators by how many operands they have.
 OPERATOR_NAMES: dict[int, dict[int, str]] = {
     1: _table(
-        "13 floor, 14 ceil, 15 abs, 16 unary -, 34 not, 37 tanh, 38 tan, 39 sqrt, 40 sinh, "
-        "41 sin, 42 log10, 43 log, 44 exp, 45 cosh, 46 cos, 47 atanh, 49 atan, 50 asinh, 51 "
-        "asin, 52 acosh, 53 acos, 77 square"
+        "13 floor, 14 ceil, 15 abs, 16 unary -, 34 not, 37 tanh, 38 tan, 39 sqrt, 40 sinh, 41 sin, 42 log10, 43 log, "
+        "44 exp, 45 cosh, 46 cos, 47 atanh, 49 atan, 50 asinh, 51 asin, 52 acosh, 53 acos, 77 square"
     ),
     2: _table(
-        "0 +, 1 -, 2 *, 3 /, 4 mod, 5 ^, 6 less, 20 or, 21 and, 22 <, 23 <=, 24 =, 28 >=, "
-        "29 >, 30 <>, 48 atan2, 55 div, 56 precision, 57 round, 58 trunc, 62 atleast, 63 "
-        "atmost, 66 exactly, 67 not atleast, 68 not atmost, 69 not exactly, 73 <==>, 76 ^, "
-        "78 ^"
+        "0 +, 1 -, 2 *, 3 /, 4 mod, 5 ^, 6 less, 20 or, 21 and, 22 <, 23 <=, 24 =, 28 >=, 29 >, 30 <>, 48 atan2, "
+        "55 div, 56 precision, 57 round, 58 trunc, 62 atleast, 63 atmost, 66 exactly, 67 not atleast, 68 not atmost, "
+        "69 not exactly, 73 <==>, 76 ^, 78 ^"
     ),
     3: _table("35 if, 65 if, 72 ==>"),
     NARY: _table(
-        "11 min, 12 max, 54 +, 59 count, 60 numberof, 61 numberof, 70 forall, 71 exists, 74 "
-        "alldiff, 75 not alldiff"
+        "11 min, 12 max, 54 +, 59 count, 60 numberof, 61 numberof, 70 forall, 71 exists, 74 alldiff, 75 not alldiff"
     ),
     PIECEWISE: _table("64 piecewise-linear term"),
 }
@@ -221,17 +198,20 @@ class Trees:
         at, k = np.repeat(self.starts[:-1][is_added], 2), int(is_added.sum())
         # 0 is the number of the operator +
         values = np.column_stack([np.full(k, 0), constants[is_added]]).ravel()
-        return Trees(
-            np.insert(self.kinds, at, [Token.OPERATOR, Token.NUMBER] * k),
-            np.insert(self.values, at, values),
-            np.insert(self.counts, at, [2, 0] * k),
-            self.starts + 2 * np.append(0, np.cumsum(is_added)),
-        )
+        kinds = np.insert(self.kinds, at, [Token.OPERATOR, Token.NUMBER] * k)
+        values, counts = np.insert(self.values, at, values), np.insert(self.counts, at, [2, 0] * k)
+        return Trees(kinds, values, counts, self.starts + 2 * np.append(0, np.cumsum(is_added)))
 
     @property
     def size(self) -> int:
         """The number of trees."""
         return self.starts.size - 1
+
+    def tokens(self, k: int) -> list[tuple[int, float, int]]:
+        """Return kind, value and number of operands of each token of tree k."""
+        part = slice(self.starts[k], self.starts[k + 1])
+        columns = (column[part].tolist() for column in (self.kinds, self.values, self.counts))
+        return list(zip(*columns, strict=True))
 
 
 @dataclass(frozen=True, eq=False)
@@ -408,9 +388,7 @@ def _header(data: bytes) -> tuple[SimpleNamespace, int]:
         what = f"its numbers are of the arithmetic {header.arithmetic}, and 1 or 2 (IEEE) is needed"
         raise NLSyntaxError(header.places[6], f"{what}; write the file as text")
     if header.logical_rows:
-        raise UnsupportedModel(
-            f"the model has {header.logical_rows} logical constraints; none are taken"
-        )
+        raise UnsupportedModel(f"{header.logical_rows} logical constraints are not read; drop them")
     header.defined = sum(getattr(header, f"defined{k}") for k in range(5))
     return header, begin
 
@@ -459,11 +437,11 @@ class _Reader:
     def __init__(self, data: bytes) -> None:
         self.header, begin = _header(data)
         order = ">" if self.header.arithmetic == BIG_ENDIAN else "<"
-        self.source: TextFormReader | BinaryFormReader = (
-            BinaryFormReader(data, begin, order)
-            if self.header.is_binary
-            else TextFormReader(data, begin)
-        )
+        self.source: TextFormReader | BinaryFormReader
+        if self.header.is_binary:
+            self.source = BinaryFormReader(data, begin, order)
+        else:
+            self.source = TextFormReader(data.rstrip() + b"\n", begin)
         #: Number of possible owners of a segment.
         self.owners = dict.fromkeys("CJ", self.header.rows) | {"V": self.header.defined}
         self.owners |= dict.fromkeys("OG", self.header.objectives)
@@ -481,9 +459,7 @@ class _Reader:
             if letter not in HEADS:
                 source.fail(NO_SEGMENT)
             if letter == "F":
-                raise UnsupportedModel(
-                    "the model calls external functions; write it with elementary functions"
-                )
+                raise UnsupportedModel("the model calls external functions; write elementary ones")
             numbers = source.behind("i" * HEADS[letter], has_name=letter == "S")
             owner = 0
             if letter in self.owners:
@@ -590,9 +566,7 @@ class _Reader:
             what = f"which bounds are finite (0 to 3), and a variable from 1 to {n}"
             source.fail(f"the bounds of rows have the code 5, followed by {what}")
         if variable in earlier:
-            source.fail(
-                f"variable {variable} is complementary to an earlier row as well; one is possible"
-            )
+            source.fail(f"variable {variable} has an earlier row also; one is possible")
         earlier.add(variable)
 
     # --- Consistency of all segments ---
@@ -602,34 +576,21 @@ class _Reader:
         header = self.header
         self._check_counts()
         n, m, o, d = header.variables, header.rows, header.objectives, header.defined
-        linear = self._matrix("J", m, n)
         lower, upper, _, _ = _columns(self.bounds["b"])
-        row_lower, row_upper, partners, partner_bounds = _columns(self.bounds["r"])
+        low, high, partners, bits = _columns(self.bounds["r"])
+        bounds = lower, upper, low, high, partners.astype(np.int64), bits.astype(np.int64)
+        rows = *bounds, self._matrix("J", m, n), self._trees("C", m)
+        is_maximized = np.array([self.is_maximized[k] for k in range(o)], dtype=bool)
+        goals = is_maximized, self._matrix("G", o, n), self._trees("O", o)
+        terms = *goals, self._matrix("V", d, n + d), self._trees("V", d)
         start, has_start = np.zeros(n), np.zeros(n, dtype=bool)
         _, indices, values = self.entries["x"]
         start[indices], has_start[indices] = values, True
-        return NLContent(
-            lower=lower,
-            upper=upper,
-            row_lower=row_lower,
-            row_upper=row_upper,
-            partners=partners.astype(np.int64),
-            partner_bounds=partner_bounds.astype(np.int64),
-            linear=linear,
-            trees=self._trees("C", m),
-            is_maximized=np.array([self.is_maximized[k] for k in range(o)], dtype=bool),
-            objective_linear=self._matrix("G", o, n),
-            objective_trees=self._trees("O", o),
-            defined_linear=self._matrix("V", d, n + d),
-            defined_trees=self._trees("V", d),
-            is_integer=self._integers(),
-            start=start,
-            has_start=has_start,
-            names=_names(path.with_suffix(".col"), n, header.name_length),
-            row_names=_names(path.with_suffix(".row"), m, header.row_name_length),
-            options=header.options,
-            tolerance=header.tolerance,
-        )
+        variables = self._integers(), start, has_start
+        names = _names(path.with_suffix(".col"), n, header.name_length)
+        row_names = _names(path.with_suffix(".row"), m, header.row_name_length)
+        first_line = header.options, header.tolerance
+        return NLContent(*rows, *terms, *variables, names, row_names, *first_line)
 
     def _check_counts(self) -> None:
         """Raise if the head announces more than the file holds, before memory is allocated."""
@@ -668,12 +629,10 @@ class _Reader:
         end = len(self.kinds)
         spans = [self.trees[letter].get(k, (end, end + 1)) for k in range(count)]
         items = np.concatenate([np.zeros(0, np.int64), *(np.arange(*span) for span in spans)])
-        return Trees(
-            np.frombuffer(self.kinds + b"\0", dtype=np.uint8)[items],
-            np.append(self.values, 0.0)[items],
-            np.append(np.array(self.counts), 0)[items],
-            np.cumsum([0, *(last - first for first, last in spans)]),
-        )
+        kinds = np.frombuffer(self.kinds + b"\0", dtype=np.uint8)[items]
+        values, counts = np.append(self.values, 0.0), np.append(np.array(self.counts), 0)
+        starts = np.cumsum([0, *(last - first for first, last in spans)])
+        return Trees(kinds, values[items], counts[items], starts)
 
     def _integers(self) -> Any:
         """Return the mask of integer variables, the last ones of each group of the format."""
@@ -698,10 +657,9 @@ def _columns(rows: list[tuple[float, float, int, int]]) -> Any:
 
 def _names(path: Path, count: int, longest: int) -> list[str] | None:
     """Return the names in an accompanying file, or None if it belongs to another problem."""
-    if not longest or not path.is_file():  # a length of 0 means that no names were written
-        return None
     try:
         names = path.read_text(encoding="utf-8", errors="replace").splitlines()
     except OSError:
         return None
-    return names[:count] if len(names) >= count else None
+    # a length of 0 means that no names were written
+    return names[:count] if longest and len(names) >= count else None

@@ -67,10 +67,7 @@ def _content_of(problem: Any) -> NLContent:
         nothing = sp.csr_array((0, n)), Trees.of_numbers(zero[:0])
         return NLContent(lower, upper, *rows, no[:0], *nothing, *nothing, no, zero, no)
     if not isinstance(problem, NLContent):
-        raise InvalidProblem(
-            "an .nl file can be written of an LCP, a Pyomo model, or a result of read_content, got "
-            f"{type(problem).__name__}"
-        )
+        raise InvalidProblem(f"an .nl file states an LCP or a model, got {type(problem).__name__}")
     return problem
 
 
@@ -157,20 +154,13 @@ class TextWriter:
             self.out.append(" ".join([str(kind), *map(repr, numbers)]).encode() + b"\n")
 
     def _tree(self, trees: Trees, k: int) -> None:
-        for kind, value, count in tokens_of(trees, k):
+        for kind, value, count in trees.tokens(k):
             if kind == Token.NUMBER:
                 self.out.append(f"n{value!r}\n".encode())
             else:
-                self.out.append(LETTERS[kind] + b"%d\n" % value)
+                self.out.append(LETTERS[Token(kind)] + b"%d\n" % value)
                 if kind == Token.OPERATOR and (behind := count_behind(int(value), count)):
                     self.out.append(b"%d\n" % behind)
-
-
-def tokens_of(trees: Trees, k: int) -> Iterable[tuple[Token, float, int]]:
-    """Return kind, value and number of operands of each token of tree k."""
-    part = slice(trees.starts[k], trees.starts[k + 1])
-    columns = (getattr(trees, name)[part].tolist() for name in ("kinds", "values", "counts"))
-    return zip(*columns, strict=True)
 
 
 def count_behind(operator: int, count: int) -> int:
@@ -253,9 +243,7 @@ def write_sol(
         0 to 99 solved, 100 solved to a lower precision, 200 infeasible, 300 unbounded, 400 limit, 500 failure.
     """
     target, options = checked_path(path), content.options
-    duals, values = (
-        None if vector is None or not np.isfinite(vector).all() else vector for vector in (y, x)
-    )
+    vectors = [v.tolist() if v is not None and np.isfinite(v).all() else [] for v in (y, x)]
     m, n = content.row_lower.size, content.lower.size
     # A blank line ends the message, and also a line that starts with Options.
     lines = [line.rstrip() or " " for line in message.strip().splitlines()]
@@ -263,11 +251,9 @@ def write_sol(
     lines.append("")
     if options[0]:
         has_tolerance = len(options) > 2 and options[2] == WITH_TOLERANCE
-        counts = m, 0 if duals is None else m, n, 0 if values is None else n
+        counts = m, len(vectors[0]), n, len(vectors[1])
         numbers = options[0] + 2 * has_tolerance, *options[1 : options[0] + 1], *counts
         lines += [OPTIONS, *map(str, numbers)]
         lines += [repr(float(content.tolerance or 0.0))] * has_tolerance
-    for vector in (duals, values):
-        lines += [] if vector is None else map(repr, vector.tolist())
-    lines += [f"objno 0 {code}", ""]
+    lines += [*map(repr, vectors[0] + vectors[1]), f"objno 0 {code}", ""]
     write_whole({target: lambda file: file.write("\n".join(lines).encode())})

@@ -202,7 +202,7 @@ class ContactInfeasibility:
         y = [Fraction(value) for value in self.y.tolist()]
         if not (farkas.plain > 0 and self._is_in_cones(y, is_dual=True)):
             return False
-        if self.is_exact or not (farkas.is_rounding() and farkas.is_wide_beside_terms()):
+        if self.is_exact or not (farkas.is_rounding() and farkas.is_wide()):
             return self.is_exact
         if not is_nearly_symmetric(rows.matrix):
             return True

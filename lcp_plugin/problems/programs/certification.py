@@ -31,14 +31,8 @@ from ...judges.worst_rows import WorstRow, WorstRows, worst_pairs
 from ...proofs.bounds import constrained_curvature
 from ...proofs.exact import sum_above
 from ...solving.result import BaseResult
-from . import value_bounds
-from .no_minimum import (
-    NoMinimum,
-    QPInfeasibility,
-    known_proof,
-    proof_of_contradiction,
-    proof_of_no_minimum,
-)
+from . import no_minimum, value_bounds
+from .no_minimum import NoMinimum, QPInfeasibility
 from .program import QuadraticProgram, refuse_nonconvex
 from .result import QuadraticProgramResult
 from .solution import QPSolution, bound_multipliers, worst_constraints
@@ -47,12 +41,8 @@ from .solving import solve_program
 CLAIMS = ("optimal", "infeasible", "unbounded")
 SMALL = 400  # variables and rows of a program that is solved again for a tighter bound
 NOTHING = "nothing can be proved"
-WITHIN_ROUNDING = (
-    "within rounding: P has a negative eigenvalue, which rounding of its entries explains"
-)
-NOT_BY_A_ROW = (
-    "each row passes, but by its derivative F may tend to 0 as x diverges, or is at rounding level"
-)
+WITHIN_ROUNDING = "within rounding: a negative eigenvalue of P, as rounding of entries makes it"
+NOT_BY_A_ROW = "each row passes, but F may tend to 0 as x diverges, or is at rounding level"
 
 
 @np.errstate(all="ignore")  # a bound that overflows proves nothing
@@ -170,7 +160,7 @@ def certify(
         if claim not in (None, *CLAIMS):
             raise InvalidOption(f"claim={claim!r} is not offered{did_you_mean(claim, CLAIMS)}")
         is_refused = claim != "infeasible" or problem.is_convex is not False
-        if is_refused or proof_of_contradiction(problem) is None:
+        if is_refused or no_minimum.proof_of_contradiction(problem) is None:
             refuse_nonconvex(problem)
         # Proofs are not cached under a time limit, because they may be incomplete.
         convex = problem.folded.program
@@ -187,19 +177,16 @@ def certify(
                 moved, is_noise = proofs.prove_point(near, y, tolerance), move == proofs.with_zeros
                 if moved.verdict == "proved" or (is_noise and moved.verdict == "unproved"):
                     verdict = replace(moved, violation=verdict.violation)
-            rows = problem.constraints.rows
-            y = np.zeros(rows) if y is None else y[:rows]
-            verdict = replace(
-                verdict, rows=partial(worst_constraints, problem, point, y, tolerance)
-            )
+            count = problem.constraints.rows
+            y = np.zeros(count) if y is None else y[:count]
+            rows = partial(worst_constraints, problem, point, y, tolerance)
+            verdict = replace(verdict, rows=rows)
         rounding = "" if convex is problem else f", {WITHIN_ROUNDING}"
         verdict = replace(verdict, reason=f"{verdict.reason}{rounding}")
-        if problem.constant == 0.0:
+        if (shift := problem.constant) == 0.0:
             return verdict
-        lower, upper = (
-            None if bound is None else math.nextafter(bound + problem.constant, end)
-            for bound, end in ((verdict.lower, -math.inf), (verdict.upper, math.inf))
-        )
+        ends = (verdict.lower, -math.inf), (verdict.upper, math.inf)
+        lower, upper = (b if b is None else math.nextafter(b + shift, e) for b, e in ends)
         return replace(verdict, lower=lower, upper=upper)
 
 
@@ -222,22 +209,18 @@ def _certify_other(
         raise InvalidProblem(refusal("certify", problem))
     if x is not None or multipliers is not None or claim is not None:
         raise InvalidOption("a model has values: leave out x, multipliers and claim")
-    verdict: Certification = certify_model(problem, tolerance, pairs)
-    return verdict
+    return certify_model(problem, tolerance, pairs)
 
 
 def _check_point(problem: Any, x: Any, multipliers: Any, claim: Any, *options: Any) -> None:
     """Raise InvalidOption unless x is the only claim about a problem of pairs."""
     _check_options(*options)
+    name = type(problem).__name__
     if multipliers is not None or claim is not None:
-        raise InvalidOption(
-            f"multipliers and claim go with a QuadraticProgram, got a {type(problem).__name__}; "
-            "give certify(problem, x)"
-        )
+        fault = f"multipliers and claim go with a QuadraticProgram, got a {name}"
+        raise InvalidOption(f"{fault}; give certify(problem, x)")
     if x is None:
-        raise InvalidOption(
-            f"certify needs a point of the {type(problem).__name__}; give certify(problem, x)"
-        )
+        raise InvalidOption(f"certify needs a point of the {name}; give certify(problem, x)")
 
 
 def certify_point(problem: Any, x: Vector, tolerance: float) -> Certification:
@@ -288,13 +271,9 @@ def with_side_conditions(verdict: Certification, violated: Sequence[WorstRow]) -
     """Return the verdict on a point, disproved if it violates conditions that are not rows of its problem."""
     if not violated:
         return verdict
-    return replace(
-        verdict,
-        verdict="disproved",
-        violation=max(verdict.violation or 0.0, *(row.violation for row in violated)),
-        reason=violated[0].text,
-        rows=partial(_with_rows, tuple(violated), verdict),
-    )
+    violation = max(verdict.violation or 0.0, *(row.violation for row in violated))
+    rows, reason = partial(_with_rows, tuple(violated), verdict), violated[0].text
+    return replace(verdict, verdict="disproved", violation=violation, reason=reason, rows=rows)
 
 
 def _with_rows(violated: tuple[WorstRow, ...], verdict: Certification, count: int) -> WorstRows:
@@ -330,9 +309,7 @@ def claimed_point(
         size = program.constraints.limit.size
         return x, checked_vector(multipliers.multipliers, "multipliers", size)
     if not isinstance(multipliers, (tuple, list)) or len(multipliers) != 2:
-        raise InvalidProblem(
-            "multipliers must be a pair, those of G and those of A, or a QPSolution; give (inequality, equality)"
-        )
+        raise InvalidProblem("multipliers must be (inequality, equality) or a QPSolution")
     inequality = checked_vector(multipliers[0], "inequality", program.h.size)
     equality = checked_vector(multipliers[1], "equality", program.b.size)
     gradient = program.P @ x + program.c + program.G.T @ inequality + program.A.T @ equality
@@ -440,9 +417,9 @@ class ProgramProofs:
     @derived_property
     def no_minimum(self) -> NoMinimum | None:
         """An exact proof that the program is infeasible or unbounded; None if no proof was found."""
-        proof = known_proof(self.program)
+        proof = no_minimum.known_proof(self.program)
         if proof is not None and not proof.is_exact:  # a solve may cache an inexact proof
-            proof = proof_of_no_minimum(self.program, exactly=True)
+            proof = no_minimum.proof_of_no_minimum(self.program, exactly=True)
         return proof if proof is not None and proof.is_exact and proof.verify() else None
 
     @property
@@ -462,15 +439,14 @@ class ProgramProofs:
             return Certification("proved", claim, reason=str(proof))
         solution = self.own_solution
         upper, lower = self.upper(*([] if solution is None else [solution.x])), self.own_lower
-        unproved = Certification(
-            "unproved", claim, lower=_if_finite(lower), upper=_if_finite(upper), reason=NOTHING
-        )
         reason = ""
         if claim == "infeasible" and upper < math.inf:
             reason = "a feasible point is proved"
         elif claim == "unbounded" and lower > -np.inf:
             reason = f"no feasible x is below {lower + self.program.constant:.9g}"
-        return replace(unproved, verdict="disproved", reason=reason) if reason else unproved
+        verdict = "disproved" if reason else "unproved"
+        ends = _if_finite(lower), _if_finite(upper)
+        return Certification(verdict, claim, None, *ends, reason=reason or NOTHING)
 
     def on_bounds(self, x: Vector, tolerance: float) -> Vector:
         """Return x with each x_j on a bound if the move is negligible; x itself if the objective would change.
@@ -510,9 +486,8 @@ class ProgramProofs:
         if multipliers is not None:
             lower = self.lower(x, multipliers, value[0], tolerance * size[0])
             complaint = multiplier_error(program, x, multipliers, tolerance, size[0])
-        upper = self.upper(x)
-        constant = program.constant
-        bounds = ProvenBounds(value, violation, lower, upper, tolerance, size, constant)
+        numbers = value, violation, lower, self.upper(x), tolerance, size, program.constant
+        bounds = ProvenBounds(*numbers)
         is_enough = bounds.is_proved() and not bounds.violation_may_lower_objective()
         if not is_enough or (self.is_small and (multipliers is None or complaint)):
             lower, near = max(lower, self.own_lower), [x]
@@ -524,8 +499,7 @@ class ProgramProofs:
                 elif np.isfinite(y).all():
                     least = least_size(program.judged, x, y)
                     size = max(size[0], least), max(size[1], least)
-            upper = self.upper(*near)
-            bounds = replace(bounds, lower=lower, upper=upper, size=size)
+            bounds = replace(bounds, lower=lower, upper=self.upper(*near), size=size)
             by_solve = replace(bounds, lower=self.own_lower)
             if bounds.violation_may_lower_objective() and not by_solve.is_proved():
                 bought = f"its violation of {violation.largest:.2g} may buy more than the tolerance"
@@ -629,9 +603,7 @@ class ProvenBounds:
         if float(sum_above(self.upper, allowed)) < below:
             return f"a feasible point has the objective {self.upper + shift:.9g}, below {below + shift:.9g}"
         if least > float(sum_above(above, allowed)):
-            return (
-                f"no feasible x is below {least + shift:.9g}, and this one has {above + shift:.9g}"
-            )
+            return f"no feasible x is below {least + shift:.9g}, this one has {above + shift:.9g}"
         return ""
 
     def is_proved(self) -> bool:

@@ -192,7 +192,7 @@ class QPUnboundedness:
             j: 0.0 if self.is_free_motion else abs(float(self.point[j])) or TINY
             for j in range(self.program.n)
         }
-        return self._certificate.is_wide_beside_terms(known)
+        return self._certificate.is_wide(known)
 
     @derived_property
     def is_free_motion(self) -> bool:

@@ -107,12 +107,12 @@ def test_single_precision_of_jax_is_refused(jax):
 REFUSED = r"""
 NonlinearProblem.from_casadi(2 * x, x) → InvalidProblem: x must be symbols of CasADi, as MX.sym\("x", n\), got SX
 NonlinearProblem.from_casadi([1.0], x) → InvalidProblem: x must be symbols of CasADi, .*, got \[1.0\]
-NonlinearProblem.from_casadi(x, 2.0) → InvalidProblem: F must have one row per unknown, got shape \(1, 1\)
+NonlinearProblem.from_casadi(x, 2.0) → InvalidProblem: F must have one row per unknown, got \(1, 1\)
 NonlinearProblem.from_casadi(x, casadi.sin(x)[:1])
-    → InvalidProblem: F must have one row per unknown, got shape \(1, 1\) for x of shape \(2, 1\)
+    → InvalidProblem: F must have one row per unknown, got \(1, 1\) for x of \(2, 1\)
 NonlinearProblem.from_casadi(x.T, x.T)
-    → InvalidProblem: F must have one row per unknown, got shape \(1, 2\) for x of shape \(1, 2\)
-NonlinearProblem.from_casadi(x, p * x) → InvalidProblem: F contains p, but only x may be unknown
+    → InvalidProblem: F must have one row per unknown, got \(1, 2\) for x of \(1, 2\)
+NonlinearProblem.from_casadi(x, p * x) → InvalidProblem: F contains p; insert numbers
 """
 
 

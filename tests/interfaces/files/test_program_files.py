@@ -108,8 +108,8 @@ def test_kinds_are_told_by_what_is_in_a_file(tmp_path):
 
 REFUSED: list[tuple[dict[str, Any], type[LCPError], str]] = [
     (dict(P=P), UnreadableFile, r"lacks the keys \['c'\]; a program holds P, q, A, l, u"),
-    (dict(P=P, q=c, c=c), UnreadableFile, "holds c and q, which are two names for one thing"),
-    (dict(P=P, q=c, l=b, u=b), UnreadableFile, "holds l or u, the limits of A x, and no A"),
+    (dict(P=P, q=c, c=c), UnreadableFile, "holds c and q for one thing"),
+    (dict(P=P, q=c, l=b, u=b), UnreadableFile, "l, u limit A x, and A is missing"),
     (
         dict(P=P, q=[np.nan, 1.0]),
         UnreadableFile,
@@ -343,8 +343,8 @@ def test_repeated_entries_of_an_mps_file_are_told_with_the_one_that_holds(
 
 # text of QPS, the wrong text, a part of the message; / is the end of a line
 FAULTS = """
- G r1/         →  G r1/ L r1/             → r1 in ROWS is stated twice
-RHS/           →  x r1 7/RHS/             → x in COLUMNS is stated twice
+ G r1/         →  G r1/ L r1/             → r1 is stated twice in ROWS
+RHS/           →  x r1 7/RHS/             → x is stated twice in COLUMNS
 y obj 1 r1 1   → y obj 1 r8 1             → r8 of the line "y obj 1 r8 1" in COLUMNS is not in ROWS
 RHS r1 4       → RHS r7 4                 → r7 of the line "RHS r7 4" in RHS is not in ROWS
  x y 1/        →  x y/                    → the line "x y" in QUADOBJ has a name without a number

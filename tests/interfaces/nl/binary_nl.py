@@ -18,13 +18,7 @@ from lcp_plugin.interfaces.nl.reading import (
     Token,
     Trees,
 )
-from lcp_plugin.interfaces.nl.writing import (
-    LETTERS,
-    TextWriter,
-    count_behind,
-    stated_bounds,
-    tokens_of,
-)
+from lcp_plugin.interfaces.nl.writing import LETTERS, TextWriter, count_behind, stated_bounds
 
 
 def write_form(
@@ -74,8 +68,8 @@ class BinaryWriter(TextWriter):
             )
 
     def _tree(self, trees: Trees, k: int) -> None:
-        for kind, value, count in tokens_of(trees, k):
-            self.out.append(LETTERS[kind])
+        for kind, value, count in trees.tokens(k):
+            self.out.append(LETTERS[Token(kind)])
             if kind == Token.NUMBER:
                 self.out.append(struct.pack(self.order + "d", value))
             else:

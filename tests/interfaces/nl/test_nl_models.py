@@ -402,13 +402,17 @@ def refusals() -> Iterator[tuple[str, NLContent, str]]:
     yield "unknown operator", content_of(1, [(99, x)]), "operator number 99"
     yield "logarithm of −1", content_of(1, [("*", ("log", -1.0), x)]), "log of -1"
     yield "division by 0", content_of(1, [("/", x, 0.0)]), "row 0 divides by zero"
-    yield "an infinite number", content_of(1, [("+", INFINITY, x)]), "no finite number"
+    yield "an infinite number", content_of(1, [("+", INFINITY, x)]), "which is not finite"
     yield (
         "nonlinear rows",
         content_of(1, [("exp", x)], row_upper=[1.0], row_lower=[-INFINITY]),
         "row 0 is nonlinear",
     )
-    yield "nonlinear objective", content_of(1, objective=("exp", x)), "neither linear nor quadratic"
+    yield (
+        "nonlinear objective",
+        content_of(1, objective=("exp", x)),
+        "the objective is not quadratic",
+    )
     twice = replace(paired(content_of(2, [x, y])), partners=np.array([1, 1]))
     yield "two rows for one", twice, "0 equations and 1 unknown without a complementarity"
     names = r"\(variable 0, variable 1\)"
@@ -420,7 +424,7 @@ def refusals() -> Iterator[tuple[str, NLContent, str]]:
     yield (
         "crossed bounds",
         content_of(1, [x], lower=[2.0], upper=[1.0]),
-        "variable 0 has the lower bound 2 above",
+        "variable 0: lower bound 2 >",
     )
     yield (
         "0 == 1",

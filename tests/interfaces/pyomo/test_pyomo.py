@@ -298,7 +298,7 @@ REFUSED: dict[str, tuple[Callable[[Any], None], str]] = {
     ),
     "a bound that varies": (
         made(lambda m: (pe.inequality(0, m.x, m.y), m.x)),
-        "a bound of c is y, which varies; state the difference",
+        "the bound y of c varies; bound the difference",
     ),
     "strict": (
         made(lambda m: (m.x > 0, m.x >= 2)),
@@ -318,16 +318,13 @@ REFUSED: dict[str, tuple[Callable[[Any], None], str]] = {
     ),
     "a disjunction": (
         disjunction,
-        "Disjunct is not taken, and the model has one, two; apply gdp.bigm or gdp.hull",
+        "Disjunct is not taken; the model has one, two; apply gdp.bigm or gdp.hull",
     ),
     "a derivative": (
         derivative,
-        "DerivativeVar is not taken, and the model has slope; discretise it, TransformationFactory(",
+        "DerivativeVar is not taken; the model has slope; discretise it, TransformationFactory(",
     ),
-    "no variable": (
-        no_variable,
-        "no active constraint, objective or complementarity has a free variable",
-    ),
+    "no variable": (no_variable, "no active constraint, objective or pair has a free variable"),
     "not convex": (
         made(e=lambda m: m.x + m.y <= 2, cost=(lambda m: m.x * m.y - m.x,)),
         "convex: the smallest eigenvalue of P is -1",

@@ -169,7 +169,7 @@ def two(bounds: Any = (None, None)) -> Any:
 
 
 @refusals(r"""
-solve(m, 'all') → pairs must be 'match' or a ComponentMap
+solve(m, 'all') → pairs must be 'match' or {constraint: variable}
 solve(m, {m.row[0]: m.y, m.row[1]: m.y}) → y is paired with row\[0\] and with row\[1\]
 solve(m, ComponentMap([(m.row, m.x), (m.row[0], m.y)]))
     → row\[0\] is paired with x\[0\] and with y; a row has one variable
@@ -177,7 +177,7 @@ solve(m, ComponentMap([(m.y, m.last)])) → pairs has y in the place of a Constr
 solve(m, {'last': 'y'}) → pairs has 'last' in the place of a Constraint; state
 solve(m, {m.last: None}) → pairs has None in the place of a Var; state
 solve(m, {m.last: m.y}) → last cannot be the row of y
-solve(m, {m.last: m.x}) → pairs gives last no variable: x has no index None
+solve(m, {m.last: m.x}) → x has no index None for last
 solve(m, 'match') → last has no partner with the same indices \(for an inequality, a variable with bounds\)
 """)
 def test_pairs_that_are_wrong_are_refused_by_name(call, words):

@@ -451,12 +451,12 @@ certify(unsolved()) → InvalidProblem: status is None, .*; call problem\.solve\
 certify(unsolved([lambda x: cp.norm2(x) <= 1])) → UnsupportedModel: is not piecewise linear
 certify(unsolved(integer=True)) → UnsupportedModel: is integer
 certify(unsolved([lambda x: cp.sqrt(x) <= 1])) → UnsupportedModel: convex
-certify(unsolved([lambda x: complements(x >= 0, x >= 1)])) → UnsupportedModel: with complementarity requires the best
+certify(unsolved([lambda x: complements(x >= 0, x >= 1)])) → UnsupportedModel: with complementarity is not a single LCP
 certify(cp.Problem(cp.Minimize(3))) → UnsupportedModel: no variables
 certify(SIMPLE) → InvalidProblem: needs an x
 certify(SIMPLE, [1.0]) → InvalidProblem: length 2, got shape \(1,\)
 certify(SIMPLE, [1.0, np.nan]) → InvalidProblem: x\[1\] = nan
-certify(SIMPLE, [0.5, 1.5], [1.0]) → InvalidProblem: must be a pair
+certify(SIMPLE, [0.5, 1.5], [1.0]) → InvalidProblem: must be \(inequality, equality\)
 certify(SIMPLE, [0.5, 1.5], ([np.nan], [])) → InvalidProblem: inequality\[0\] = nan
 certify(QuadraticProgram([[1, 2], [2, 1]], [0, 0]), [0.0, 0.0]) → UnsupportedModel: not convex
 certify(SIMPLE, claim='optimum') → InvalidOption: did you mean 'optimal'

@@ -46,7 +46,7 @@ def run(*, quick: bool = False) -> Iterator[str]:
     """Yield a line for each row: microseconds of ours and of the rival, the ratio and its goal."""
     yield f"{'problem':44} {'ours':>9} {'instead':>9} µs  ratio   goal"
     for name, goal, ours, rival, instead, count in chain(
-        _loops(quick), _lcps(quick), _programs(quick), _models(quick), _published(quick)
+        _loops(quick), _cliffs(), _lcps(quick), _programs(quick), _models(quick), _published(quick)
     ):
         times = {}
         for key, call in (("ours", ours), ("instead", instead)):
@@ -137,6 +137,38 @@ def _loops(quick: bool) -> Iterator[Row]:
     other, step = partial(nnls, A, b), prepare(BoundedLeastSquares(A, b))
     yield "NNLS 60 × 30", 5.0, partial(_solve_fit, A, b), "scipy's nnls", other, 1
     yield "NNLS 60 × 30, prepared", 2.0, partial(step.solve, b=b), "scipy's nnls", other, 1
+
+
+def _cliffs() -> Iterator[Row]:
+    """Yield everyday conditions next to the plain call or step, and an infeasible step next to a feasible one."""
+    rng = np.random.default_rng(0)
+    one, (J, v) = spectrum(10, 1e2, 0.4, 0), (rng.normal(size=(15, 6)), rng.normal(size=15))
+    G, c, A, b = (rng.normal(size=size) for size in ((11, 4), 4, (60, 30), 60))
+    contacts = FrictionalContact(J @ J.T + np.eye(15), v, np.full(5, 0.5))
+    fit, program = BoundedLeastSquares(A, b), QuadraticProgram(np.eye(4), c, G, np.ones(11))
+    curved = NonlinearProblem(_F, lambda x: np.diag(np.exp(x)), lower=np.zeros(4))
+    cases: list[tuple[str, Any, dict[str, Any], str]] = [
+        ("LCP of 10", one, {"q": np.array(one.q)}, "z0"),
+        ("5 contacts", contacts, {"b": v}, "z0"),
+        ("NNLS 60 × 30", fit, {"b": b}, "x0"),
+        ("QP 4 × 11", program, {"c": c}, "z0"),
+        ("nonlinear, 4 unknowns", curved, {"q": np.zeros(4)}, "x0"),
+    ]
+    for name, problem, data, start in cases:
+        plain, near = partial(solve, problem), {start: getattr(solve(problem), start[0])}
+        for how in ({"max_seconds": 60.0}, {"verbose": False}, near):
+            call = partial(solve, problem, **how)
+            yield f"{name}, {min(how)}", 1.3, call, "the plain call", plain, 1
+        step, limited = prepare(problem), prepare(problem, max_seconds=60.0)
+        other = partial(step.solve, **data)
+        for what, call in (
+            ("max_seconds", partial(limited.solve, **data)),
+            (start, partial(step.solve, **data, **near)),
+        ):
+            yield f"{name}, a step, {what}", 1.3, call, "the plain step", other, 1
+    step = prepare(QuadraticProgram(np.eye(4), c, np.vstack([G, -G[0]]), np.full(12, 2.0)))
+    calls = [partial(step.solve, h=np.append(np.ones(11), last)) for last in (-2.0, 2.0)]
+    yield "QP 4 × 11, an infeasible step", 8.0, calls[0], "a feasible step", calls[1], 1
 
 
 def _F(x: Any) -> Any:

@@ -47,7 +47,7 @@ import numpy as np
 import scipy.sparse as sp
 from numpy.typing import NDArray
 
-from ..core.checks import AnyMatrix, Vector
+from ..core.checks import AnyMatrix, Array, Vector
 from ..core.entries import clip, entries_of_rows, largest_in_rows, largest_products
 from ..core.kernels.compilation import helper, kernel
 from ..core.kernels.floats import DATA_ROUNDING, NEGLIGIBLE, UNIT
@@ -483,7 +483,15 @@ def sharp_errors(program: JudgedProgram, x: Vector, y: Vector) -> KKTErrors:
 
 
 def sharp_sums(
-    both: Any, of_both: Any, m: int, c: Any, d: Any, lower: Any, upper: Any, x: Any, y: Any
+    both: Array,
+    of_both: Array,
+    m: int,
+    c: Array,
+    d: Array,
+    lower: Array,
+    upper: Array,
+    x: Array,
+    y: Array,
 ) -> tuple[Any, ...]:
     """Return the arguments of `sharp_measures` for a point, or for points in rows: sums, c, d, the point, x and |y|."""
     point, n, y = x, x.shape[-1], np.where(d < INF, y, 0.0)

@@ -480,14 +480,8 @@ def multipliers_of_soft_rows(program: JudgedProgram, kinds: Any) -> list[Vector]
 
     daqp's multipliers of rows that may be violated are violations that no x reduces: yᵀC is nearly 0 where no bound
     closes a column. A least squares step removes the rest. Sums with bounds of their rounding errors accept y only if
-    `with_bounds` of it is a proof with a margin at least 100 times above `ROWS`.
-
-    Parameters
-    ----------
-    program : JudgedProgram
-        Dense.
-    kinds : array
-        daqp's kinds of its bounds and rows.
+    `with_bounds` of it is a proof with a margin at least 100 times above `ROWS`. The program is dense; `kinds` of its
+    bounds and rows are daqp's.
     """
     (terms, c, d, lower, upper), n = program, program.c.size
     C, of_C, soft = terms.C, terms.both[1][n:], kinds.copy()

@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 
 from ...core.algorithm import Step
-from ...core.checks import Vector, read_only, vector_option
+from ...core.checks import Vector, vector_option
 from ...core.deadline import Clock, is_over, seconds_left, time_limit
 from ...core.entries import clip, max_norm
 from ...core.errors import InvalidOption, UnsuitableMatrix, UnsuitableProblem, UnsupportedModel
@@ -193,18 +193,14 @@ def infeasible_result(
     if (shown := multipliers_of_soft_rows(reduced.judged, layout[2])) is None:
         return None
     (x, y), because = shown, f"it reports {end.reported.value}"
-    fields: dict[str, Any] = {"algorithm": "auto: daqp", "iterations": end.iterations}
-    fields |= {"tolerance": settings.tolerance, "seconds": seconds}
-    fields["stages"] = (StageRecord(DAQP.name, because, end.iterations, 0.0),)
+    stages = (StageRecord(DAQP.name, because, end.iterations, 0.0),)
+    solution, status, proof = QPSolution.on_access(program, x, 0.0 * y), Status.STALLED, None
     if settings.prove_infeasibility:
-        none = read_only(np.full(x.size, np.nan))
         proof = QPInfeasibility.of_known(partial(searched_proof, program, y), program=program)
-        solution = QPSolution.of_known(partial(QPSolution.none, program), program=program, x=none)
-        fields |= {"status": Status.INFEASIBLE, "proof": proof}
-    else:
-        fields["status"] = Status.STALLED
-        solution = QPSolution.on_access(program, x, 0.0 * y)
-    return QuadraticProgramResult.of_known(None, **fields, solution=solution)
+        solution, status = QPSolution.none(program), proof.status
+    fields = {"tolerance": settings.tolerance, "seconds": seconds, "stages": stages}
+    fields |= {"algorithm": "auto: daqp", "iterations": end.iterations, "status": status}
+    return QuadraticProgramResult.of_known(None, **fields, solution=solution, proof=proof)
 
 
 def is_in_doubt(program: QuadraticProgram, errors: KKTErrors, x: Vector) -> bool:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from os import PathLike
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -145,24 +145,3 @@ def load(path: str | PathLike[str]) -> LCP:
         If a ``.nl`` file contains another model.
     """
     return load_lcp(path)
-
-
-if TYPE_CHECKING:  # for editors and mypy: at run time, `Door` loads each of them
-    from .modeling.registration import lcp_stated_by, stated_in_cvxpy
-    from .problems.programs.conversion import qp_from_lcp
-    from .problems.reformulations import lcp_from_bimatrix_game
-    from .ranks.petsc import RowsOnPETSc
-    from .ranks.problem import RowsOnRanks
-
-    class LCPWithConversions(LCP):
-        """The class LCP with the types of its conversions and files."""
-
-        # Through a second name: in place of the first, mypy would take the type of the base class, which is Any
-        from_rows = _1 = staticmethod(RowsOnRanks.from_rows)
-        from_petsc = _2 = staticmethod(RowsOnPETSc.from_petsc)
-        from_qp = _3 = staticmethod(from_qp)
-        from_contacts = _4 = staticmethod(from_contacts)
-        from_game = _5 = staticmethod(lcp_from_bimatrix_game)
-        from_cvxpy = _6 = staticmethod(lcp_stated_by)
-        load = _7 = staticmethod(load)
-        to_qp, to_cvxpy, save = qp_from_lcp, stated_in_cvxpy, save

@@ -143,7 +143,7 @@ def blocks(height: int, width: int, values: Numbers) -> st.SearchStrategy[Matrix
 Build = Callable[[st.DrawFn, int, Numbers], Matrix]
 
 
-def matrices(build: Build) -> Callable[..., st.SearchStrategy[Any]]:
+def matrix_strategy(build: Build) -> Callable[..., st.SearchStrategy[Any]]:
     """Turn a function that draws a matrix of n rows into a strategy with checked size and density."""
     drawn = st.composite(lambda draw, rows, values: build(draw, draw(rows), values))
 
@@ -155,7 +155,7 @@ def matrices(build: Build) -> Callable[..., st.SearchStrategy[Any]]:
     return strategy
 
 
-@matrices
+@matrix_strategy
 def positive_definite_matrices(draw: st.DrawFn, n: int, values: Numbers) -> Matrix:
     """Return a strategy for positive definite matrices, xᵀM x > 0 for x ≠ 0; usually they are not H₊-matrices.
 
@@ -192,7 +192,7 @@ def positive_definite_matrices(draw: st.DrawFn, n: int, values: Numbers) -> Matr
     return _definite(draw, n, values)
 
 
-@matrices
+@matrix_strategy
 def positive_semidefinite_matrices(draw: st.DrawFn, n: int, values: Numbers) -> Matrix:
     """Return a strategy for symmetric positive semidefinite matrices of every rank from 0 to their size.
 
@@ -218,7 +218,7 @@ def positive_semidefinite_matrices(draw: st.DrawFn, n: int, values: Numbers) -> 
     return L @ L.T
 
 
-@matrices
+@matrix_strategy
 def h_plus_matrices(draw: st.DrawFn, n: int, values: Numbers) -> Matrix:
     """Return a strategy for H₊-matrices: positive diagonal, and ⟨M⟩v > 0 for some v > 0.
 
@@ -241,7 +241,7 @@ def h_plus_matrices(draw: st.DrawFn, n: int, values: Numbers) -> Matrix:
     return _h_plus(draw, n, values)
 
 
-@matrices
+@matrix_strategy
 def strictly_dominant_matrices(draw: st.DrawFn, n: int, values: Numbers) -> Matrix:
     """Return a strategy for matrices with m_ii > Σ_j≠i |m_ij| in every row.
 
@@ -262,7 +262,7 @@ def strictly_dominant_matrices(draw: st.DrawFn, n: int, values: Numbers) -> Matr
     return _by_row_sums(draw, n, values)
 
 
-@matrices
+@matrix_strategy
 def p_matrices(draw: st.DrawFn, n: int, values: Numbers) -> Matrix:
     """Return a strategy for P-matrices, all principal minors positive: exactly one solution for every q and all bounds.
 
@@ -622,15 +622,10 @@ def assert_solves(
             raise InvalidOption(f"{option} must be a number ≥ 0, got {value!r}")
     problems, drawn_so_far = _drawn_problems(chosen, bounds), count()
 
-    @settings(
-        max_examples=max_examples,
-        deadline=None,
-        database=None,
-        report_multiple_bugs=False,
-        print_blob=False,
-        suppress_health_check=[HealthCheck.too_slow],
-        phases=[Phase.generate, Phase.shrink],
-    )
+    quietly: dict[str, Any] = {"database": None, "report_multiple_bugs": False, "print_blob": False}
+    quietly |= {"deadline": None, "suppress_health_check": [HealthCheck.too_slow]}
+
+    @settings(max_examples=max_examples, phases=[Phase.generate, Phase.shrink], **quietly)
     @given(problems)
     def solver_is_right(drawn: Drawn) -> None:
         next(drawn_so_far)
@@ -702,7 +697,7 @@ def check_solution(
     at_start = max(exact_residuals(problem, problem.nearest_to_zero), default=0)
     allowed = Fraction(tolerance) * max(1, at_start) if math.isfinite(tolerance) else math.inf
     if problem.n and max(residuals) > allowed:
-        return _named(problem, z, w, residuals.index(max(residuals)), allowed)
+        return _violated_condition(problem, z, w, residuals.index(max(residuals)), allowed)
     if truth is None or not math.isfinite(error_tolerance) or is_exact_solution(problem, z):
         return ""
     pairs = zip(z.tolist(), truth, strict=True)
@@ -713,7 +708,7 @@ def check_solution(
     return f"z is far from the exact answer: by {float(distance):g}, though its residual is small"
 
 
-def _named(problem: LCP, z: Vector, w: list[Fraction], i: int, allowed: object) -> str:
+def _violated_condition(problem: LCP, z: Vector, w: list[Fraction], i: int, allowed: object) -> str:
     """Return the name of the condition that row i violates; a z within `allowed` of a bound is at it."""
     low, high, value = problem.lower[i], problem.upper[i], z[i]
     sides = (("lower", low, value - low), ("upper", high, high - value))

@@ -51,11 +51,8 @@ def _wrong_call(
 ) -> str:
     """Return the message for arguments that a function does not take: Python's words, and the possible call."""
     forms = {"KEYWORD_ONLY": "{}=…", "VAR_POSITIONAL": "*{}", "VAR_KEYWORD": "name=…"}
-    known = {
-        key: forms.get(one.kind.name, "{}").format(key)
-        for key, one in signature.parameters.items()
-        if key != "self"
-    }
+    taken = [one for one in signature.parameters.values() if one.name != "self"]
+    known = {one.name: forms.get(one.kind.name, "{}").format(one.name) for one in taken}
     hints = (did_you_mean(key, known) for key in named if key not in known)
     hint = next((hint for hint in hints if "did you" in hint), "")
     return f"{name}: {wrong}{hint}; write {name}({', '.join(known.values())})"

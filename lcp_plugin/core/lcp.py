@@ -69,7 +69,7 @@ class LCP(Problem):
     names: Names
     _facts: dict[Any, Any]
 
-    # Their types: lcp_plugin/lcp.py
+    # Their types: lcp_plugin/__init__.pyi
     from_rows, from_petsc, from_qp, from_contacts = (Door(is_static=True) for _ in range(4))
     from_game, from_cvxpy, load = (Door(is_static=True) for _ in range(3))
     to_qp, to_cvxpy, save = (Door() for _ in range(3))

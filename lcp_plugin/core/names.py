@@ -38,11 +38,11 @@ class Names(NamedTuple):
 
     def row(self, i: int, otherwise: str = "row {}") -> str:
         """Return the name of row i, by default "row 3"."""
-        return _name(self.rows, i) or otherwise.format(i)
+        return _name_of(self.rows, i) or otherwise.format(i)
 
     def unknown(self, i: int, otherwise: str = "z[{}]") -> str:
         """Return the name of unknown i, by default "z[3]"."""
-        return _name(self.unknowns, i) or otherwise.format(i)
+        return _name_of(self.unknowns, i) or otherwise.format(i)
 
     def pair(self, i: int) -> tuple[str, str]:
         """Return the names of row and unknown i, which are "w[name]" and "z[name]" if both have one name."""
@@ -87,7 +87,7 @@ def remark_on_labels(text: str) -> str:
     return "to name a constraint write constraint.set_label('market')" if is_needed else ""
 
 
-def _name(names: Naming, i: int) -> str:
+def _name_of(names: Naming, i: int) -> str:
     if names is None:
         return ""
     return str(names(int(i)) if callable(names) else names[int(i)])
@@ -121,13 +121,13 @@ def checked_names(
     """
     if labels is None or isinstance(labels, Names):
         return labels or Names()
-    given = _listed(labels)
+    given = _as_list(labels)
     if _are_names(given) and not isinstance(labels, str):
         both = Names(given if are_pairs else None, given)
     elif len(given) == 2 and all(
-        k is None or (_are_names(_listed(k)) and not isinstance(k, str)) for k in given
+        k is None or (_are_names(_as_list(k)) and not isinstance(k, str)) for k in given
     ):
-        both = Names(*(k if k is None else _listed(k) for k in given))
+        both = Names(*(k if k is None else _as_list(k) for k in given))
     else:
         raise InvalidProblem(
             "names must be a sequence of strings, or a pair of sequences, of the rows and of the unknowns, "
@@ -175,7 +175,7 @@ def shared_labels(axes: Iterable[str], data: Mapping[str, Any]) -> dict[str, lis
     return names
 
 
-def _listed(values: Any) -> list[Any]:
+def _as_list(values: Any) -> list[Any]:
     """Return a list, tuple, array or index of names as a list, anything else as its only entry."""
     is_sequence = hasattr(values, "__getitem__") and hasattr(values, "__len__")
     is_other = isinstance(values, (str, bytes, Mapping)) or getattr(values, "ndim", 1) == 0

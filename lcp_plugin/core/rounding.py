@@ -118,7 +118,7 @@ def _row_sums(a: Vector, b: Vector, starts: Array, offset: Vector) -> Any:
     counts, starts = counts[filled], starts[:-1][filled]
     first, second, third, size, lost = np.zeros((5, filled.size))
     if starts.size:
-        product, error, underflow = _products(a, b)
+        product, error, underflow = _exact_products(a, b)
         first[filled], (remainder,) = _split(starts, counts, product)
         second[filled], remainders = _split(starts, counts, remainder, error)
         third[filled] = np.add.reduceat(remainders[0] + remainders[1], starts)
@@ -147,7 +147,7 @@ def _split(starts: Array, counts: Array, *terms: Vector) -> tuple[Vector, list[V
     return np.add.reduceat(sum(parts[1:], parts[0]), starts), remainders
 
 
-def _products(a: Vector, b: Vector) -> tuple[Vector, Vector, Any]:
+def _exact_products(a: Vector, b: Vector) -> tuple[Vector, Vector, Any]:
     """Return a b rounded, its rounding errors, and bounds of the underflow in these, or None."""
     product, error = product_and_error(a, b)
     small = np.flatnonzero((np.abs(product) < MAY_UNDERFLOW) & (a != 0.0) & (b != 0.0))

@@ -126,7 +126,7 @@ MOST = 2**53  # limit of steps, nodes and threads
 OF_SOLVE = (*BESIDE, *(setting.name for setting in fields(Settings)))
 
 
-def _number(value: Any, name: str) -> float:
+def _finite_number(value: Any, name: str) -> float:
     if not is_number(value):
         raise InvalidOption(f"{name} must be a finite number, got {value!r}")
     if not 0.0 <= value < math.inf:
@@ -142,7 +142,7 @@ def checked_tolerance(value: Any, name: str = "tolerance", *, may_be_zero: bool 
     InvalidOption
         For other numbers, and for values that are not numbers.
     """
-    if not (_number(value, name) or may_be_zero):
+    if not (_finite_number(value, name) or may_be_zero):
         raise InvalidOption(f"{name} must be a number > 0, got {value!r}")
     if value >= 1.0:
         raise InvalidOption(f"{name} must be less than 1, got {value!r}: it is relative; try 1e-8")
@@ -177,8 +177,8 @@ def checked_threads(threads: int | None, name: str = "threads") -> int:
 CHECKS: dict[str, Callable[[Any, str], Any]] = {
     "tolerance": checked_tolerance,
     "max_iterations": partial(whole_number, least=0),
-    "max_seconds": _number,
-    "absolute_tolerance": _number,
+    "max_seconds": _finite_number,
+    "absolute_tolerance": _finite_number,
     "record": _flag,
     "threads": checked_threads,
     "verbose": _flag,

@@ -624,7 +624,7 @@ def adaptive_sweeps(sweep: Callable[..., tuple[Step, float]], z: Vector) -> Iter
             sizes.append(size)
             yield step
         record = min(record, size)
-        omega = best_relaxation(contraction(sizes), 1.0)
+        omega = best_relaxation(contraction_of_steps(sizes), 1.0)
         is_promising = omega > 1.0 + WORTHWHILE and record > 0.0
         while is_promising:
             before, sizes, is_over, is_lost = z.copy(), [], False, False
@@ -643,7 +643,7 @@ def adaptive_sweeps(sweep: Callable[..., tuple[Step, float]], z: Vector) -> Iter
             is_promising = not is_lost and size <= 0.9 * record
             if is_promising:
                 record, wait = size, FIRST_WAIT
-                wanted = best_relaxation(contraction(sizes), omega)
+                wanted = best_relaxation(contraction_of_steps(sizes), omega)
                 if wanted > omega + WORTHWHILE * (2.0 - omega):
                     omega = wanted
             else:
@@ -651,7 +651,7 @@ def adaptive_sweeps(sweep: Callable[..., tuple[Step, float]], z: Vector) -> Iter
         wait = min(2 * wait, 4096)
 
 
-def contraction(sizes: list[float]) -> float:
+def contraction_of_steps(sizes: list[float]) -> float:
     """Return the contraction per sweep over the second half of the increments; the first half is transient."""
     half = len(sizes) // 2
     if not sizes[-1 - half] > 0.0:

@@ -169,11 +169,11 @@ class Certificate:
         return bool(judge.find_rounding_rows(self.by_row[:2], self.rounding_floor).all())
 
     def __str__(self) -> str:
-        lines = [
-            ("relative residual", self.relative_residual),
-            ("natural residual", self.natural_residual),
-            ("bound violation", self.bound_violation),
-            ("complementarity", self.complementarity),
-            ("term residual", self.term_residual),
-        ]
-        return "\n".join(f"{name:<18} {value:.3e}" for name, value in lines)
+        names = "relative_residual", "natural_residual", "bound_violation", "complementarity"
+        return describe_measures(self, *names, "term_residual")
+
+
+def describe_measures(certificate: object, *names: str) -> str:
+    """Return a line of text per measure of a certificate."""
+    values = ((name.replace("_", " "), getattr(certificate, name)) for name in names)
+    return "\n".join(f"{name:<18} {value:.3e}" for name, value in values)

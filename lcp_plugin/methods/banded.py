@@ -158,7 +158,7 @@ def active_sets(problem: LCP, band: Bands, q: Vector, z0: Vector) -> Iterator[tu
     for k in itertools.count() if q.size else ():
         state, z = target, None
         if is_direct:
-            state, z = _contacts(problem, band, q, target, side)
+            state, z = _direct_contacts(problem, band, q, target, side)
             is_direct = z is not None
         if z is None:
             z = solve_on_band(band, state, np.where(state < 0, lower, upper), q)
@@ -188,7 +188,7 @@ def active_sets(problem: LCP, band: Bands, q: Vector, z0: Vector) -> Iterator[tu
                 return
 
 
-def _contacts(
+def _direct_contacts(
     problem: LCP, band: Bands, q: Vector, target: NDArray[np.int8], side: int
 ) -> tuple[NDArray[np.int8], Vector | None]:
     """Return the active set with directly found rows at the bound of side −side, and its z; None if this fails."""

@@ -165,8 +165,8 @@ class MonotoneProgram:
             P = M[x][:, x] if y.size else M
             P, R, c, multipliers = 0.5 * (P + P.T), M[y][:, x], (q + M[:, y] @ a[y])[x], kept[y]
         bounds = lower[kept[x]], upper[kept[x]]
-        statement = _stated(P, c, R, q[y], lower[kept][y], upper[kept][y], *bounds)
-        size = float(power_of_two(_largest(statement.c, statement.h, statement.b)))
+        statement = _statement_of(P, c, R, q[y], lower[kept][y], upper[kept][y], *bounds)
+        size = float(power_of_two(_size(statement.c, statement.h, statement.b)))
         vectors = {k: getattr(statement, k) / size for k in ("c", "h", "b", "lower", "upper")}
         return cls(problem, statement._replace(**vectors), size, kept[x], multipliers, anchor)
 
@@ -179,7 +179,7 @@ class MonotoneProgram:
         z = np.where(problem.lower == problem.upper, problem.lower, 0.0)
         if not self.unknowns.size:
             return z, 0
-        sizes = _largest(program.c, program.h, program.b), _largest(program.P, program.G, program.A)
+        sizes = _size(program.c, program.h, program.b), _size(program.P, program.G, program.A)
         unit = power_of_two(sizes[0] / sizes[1]) if min(sizes) > 0.0 else 1.0
         prepared = with_sides_about_one(scale_program(program, np.full(program.c.size, unit)))
         point = prepared.outward(engine.solve(prepared.statement, SolverLimits(seconds_left())))
@@ -256,11 +256,11 @@ class ZeroSumGame(NamedTuple):
         return z, point.iterations
 
 
-def _largest(*parts: Any) -> float:
+def _size(*parts: Any) -> float:
     return max(max_norm(part.data if sp.issparse(part) else part) for part in parts)
 
 
-def _stated(
+def _statement_of(
     P: Any, c: Vector, R: Any, q: Vector, low: Vector, high: Vector, lower: Vector, upper: Vector
 ) -> ProgramData:
     """Return the statement with lower ≤ x ≤ upper, of rows whose multipliers are between `low` and `high`."""

@@ -386,7 +386,7 @@ class ProjectedCycles:
         top, fine, truncation = self.truncation.grids[k], self.problems[k], self.truncation
         fine.grid.halo.fetch(z)
         flags = top.is_free, top.free_changed
-        largest, rows = kernels.free_rows(fine.grid.rows, fine.vectors, z, flags, fine.residual)
+        largest, rows = kernels.mark_free(fine.grid.rows, fine.vectors, z, flags, fine.residual)
         self.work += fine.entries
         if changed := truncation.halo.total(rows):
             truncation.update()
@@ -489,7 +489,7 @@ class MultigridRun(ProjectedCycles):
     def _residual(self, z: Vector) -> float:
         """Return the largest scaled residual of z without a change of the free set."""
         fine, flags = self.problems[0], (np.ones(z.size, np.bool_), np.empty(z.size, np.bool_))
-        largest, _ = kernels.free_rows(fine.grid.rows, fine.vectors, z, flags, fine.residual)
+        largest, _ = kernels.mark_free(fine.grid.rows, fine.vectors, z, flags, fine.residual)
         self.work += fine.entries
         return largest
 

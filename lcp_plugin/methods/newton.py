@@ -262,15 +262,15 @@ class Newton(Algorithm):
         is_elsewhere = problem.n <= 500 and not np.array_equal(start, problem.nearest_to_zero)
         state = NewtonState(problem, start)
         yield state.step()
-        if problem.n == 0 or (yield from rounds(state)) or not is_elsewhere:
+        if problem.n == 0 or (yield from alternating_steps(state)) or not is_elsewhere:
             return
         again = NewtonState(problem, problem.nearest_to_zero)
         if state.best < again.best:
             again.best, again.best_z = state.best, state.best_z
-        yield from rounds(again)
+        yield from alternating_steps(again)
 
 
-def rounds(state: NewtonState) -> Generator[Step, None, bool]:
+def alternating_steps(state: NewtonState) -> Generator[Step, None, bool]:
     """Yield full steps and damped steps alternately; return whether an active set settled."""
     for _ in range(3):
         if (yield from full_steps(state)):

@@ -25,7 +25,7 @@ import numpy as np
 from numpy.linalg import LinAlgError
 
 from ..core.algorithm import Algorithm, Step
-from ..core.checks import AnyMatrix, BoolVector, Vector, read_only
+from ..core.checks import AnyMatrix, Array, BoolVector, Vector, read_only
 from ..core.entries import clip, residual_scales, unbounded
 from ..core.kernels.compilation import kernel
 from ..core.kernels.floats import FREE, HIGH, LOW, SMALLEST
@@ -118,7 +118,7 @@ def dense_data(problem: LCP) -> RowData:
 # --- stacks --------------------------------------------------------------------------------------------------
 
 
-def stack_of(M: AnyMatrix, q: Vector, lower: Vector, upper: Vector) -> RowData:
+def stacked_data(M: AnyMatrix, q: Vector, lower: Vector, upper: Vector) -> RowData:
     """Return problems of one size as data of the criterion; an axis of length 1 means shared data.
 
     One matrix for all stays one matrix, M of shape (1, n, n).
@@ -202,7 +202,7 @@ def solve_stack(
         items = items[bound == np.inf]
         items = items[np.isfinite(z[items, 0])] if attempt >= ROUNDS else items
         if attempt >= ROUNDS and items.size:
-            data = stack_of(*_select((M, q, lower, upper), items))
+            data = stacked_data(*_select((M, q, lower, upper), items))
             measured = measure(data, z[items], tolerance)
             z[items], residual[items], is_solved[items] = measured[:3]
             items = items[~measured.passes]  # the path left out what is below its perturbation
@@ -278,7 +278,7 @@ def _select(arrays: Any, items: Any) -> list[Any]:
 
 
 def _ends_of_paths(
-    M: Vector, q: Vector, lower: Any, upper: Any, *, follow: Any = follow_paths, label: int = -1
+    M: Vector, q: Vector, lower: Array, upper: Array, *, follow: Any = follow_paths, label: int = -1
 ) -> Any:
     """Return the active sets at the ends of Lemke's paths; free unknowns are eliminated before, or split.
 
@@ -387,7 +387,7 @@ def guess(data: RowData) -> Vector | None:
     return z
 
 
-def solve_active_set(M: Vector, q: Vector, lower: Any, upper: Vector, side: Any) -> Vector:
+def active_point(M: Vector, q: Vector, lower: Any, upper: Vector, side: Any) -> Vector:
     """Return z, z_i at the bound that `side` names, w_i = 0 if FREE; by least squares if that system is singular."""
     free = (side == FREE).nonzero()[0]
     z: Vector = np.where(side == HIGH, upper, lower)
@@ -416,7 +416,7 @@ def candidates(data: RowData, z0: Vector) -> Iterator[tuple[str, Vector, float]]
         is_game = is_game and not data.lower.any() and bool((data.upper == INF).all())
         ends = _end_of_game if is_game else _ends_of_paths
         (side,) = ends(*stack, follow=FOLLOW_IN_PYTHON if is_short else follow_paths)
-        z = solve_active_set(*arrays, side) if (side != LOST).all() else np.full(side.size, np.nan)
+        z = active_point(*arrays, side) if (side != LOST).all() else np.full(side.size, np.nan)
         # A degenerate path ends with noise near bounds
         least = judge.SET_TO_BOUND * np.abs(z).max()
         near = np.where(data.upper - z <= least, data.upper, z)
@@ -439,5 +439,5 @@ def rounds(data: RowData, z: Vector) -> Vector:
         if not changes or idle > IDLE or not step @ step >= 0.0:  # NaN: a singular block
             break
         before = side
-        z = solve_active_set(M, q, lower, upper, side)
+        z = active_point(M, q, lower, upper, side)
     return z

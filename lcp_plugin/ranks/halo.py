@@ -92,9 +92,8 @@ class Ranks:
             return value
         if raised is not None and not isinstance(raised, LCPError | OSError):
             raise raised
-        rank, (kind, message) = next(
-            (rank, failure) for rank, failure in enumerate(failures) if failure is not None
-        )
+        failed = ((rank, what) for rank, what in enumerate(failures) if what is not None)
+        rank, (kind, message) = next(failed)
         raise kind(f"rank {rank}: {message}" if self.size > 1 else message) from raised
 
     def from_first(self, attempt: Callable[[], T]) -> T:

@@ -35,7 +35,7 @@ from .problem import RowsOnRanks
 LARGEST_GROWTH, LARGEST_COMPLEXITY = 2.0, 8.0
 
 
-def build_hierarchy(matrix: AnyMatrix, halo: Halo, *, scales_rows: bool) -> Hierarchy:
+def hierarchy_on_ranks(matrix: AnyMatrix, halo: Halo, *, scales_rows: bool) -> Hierarchy:
     """Return the hierarchy of the local rows, shape (own, own + foreign), with a positive diagonal.
 
     It has one grid if coarser grids cost too much.
@@ -140,7 +140,7 @@ def _coarser(
             return None
     prolongation = Operator(p_indptr, p_indices, p_data)
     restriction = Operator(R.indptr, R.indices, R.data)
-    rows = kernels.product(grid.matrix, prolongation, restriction, count + others.size).arrays
+    rows = kernels.galerkin(grid.matrix, prolongation, restriction, count + others.size).arrays
     if not halo.is_empty:
         met = p_indices[: int(p_indptr[grid.n])]
         further = others[np.unique(met[met >= count]) - count]
@@ -154,7 +154,7 @@ def _coarser(
 Iterates = Iterator[tuple[Vector, float]]  # z, shape (own,), and passes over M since the last
 
 
-def sweep(problem: RowsOnRanks, z: Vector, relaxation: float = 1.0) -> Iterates:
+def relaxation_points(problem: RowsOnRanks, z: Vector, relaxation: float = 1.0) -> Iterates:
     """Yield iterates of projected relaxation, z_i ← mid(l_i, u_i, z_i − ω w_i/d_i)."""
     halo, M = problem.halo, problem.rows
     pivots = _positive_diagonal(problem)
@@ -198,7 +198,7 @@ def multigrid(problem: RowsOnRanks, z: Vector) -> Iterates:
     """
     _positive_diagonal(problem)
     symmetric = problem.is_symmetric
-    hierarchy = build_hierarchy(problem.rows, problem.halo, scales_rows=not symmetric)
+    hierarchy = hierarchy_on_ranks(problem.rows, problem.halo, scales_rows=not symmetric)
     run = ProjectedCycles(problem, Truncation(hierarchy), is_symmetric=symmetric)
     fine = run.problems[0]
     whole = fine.grid.halo.whole(z)  # the hierarchy has a different order of the ghosts
@@ -239,8 +239,8 @@ def _positive_diagonal(problem: RowsOnRanks) -> Vector:
 Methods = dict[str, Callable[..., Iterates]]
 METHODS: Methods = {
     "multigrid": multigrid,
-    "pgs": sweep,
-    "psor": sweep,
+    "pgs": relaxation_points,
+    "psor": relaxation_points,
     "npsor": lambda problem, z, relaxation=1.7, momentum="auto": projected_type(
         problem, z, NPSOR(relaxation=relaxation, momentum=momentum)
     ),

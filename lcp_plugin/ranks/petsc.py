@@ -77,9 +77,8 @@ def newton_step(problem: Any, phi: LinearizedPhi) -> Vector | None:
         return step
     weight = phi.by_w / problem.residual_scale
     right = -phi.value / weight - problem.rows @ halo.whole(step)
-    rows = PETSc.IS().createGeneral(
-        (np.flatnonzero(is_free) + halo.first).astype(PETSc.IntType), comm=A.getComm()
-    )
+    numbers = (np.flatnonzero(is_free) + halo.first).astype(PETSc.IntType)
+    rows = PETSc.IS().createGeneral(numbers, comm=A.getComm())
     block = A.createSubMatrix(rows, rows)
     block.setOption(PETSc.Mat.Option.NEW_NONZERO_ALLOCATION_ERR, False)
     vector, solution = block.createVecLeft(), block.createVecRight()

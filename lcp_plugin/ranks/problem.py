@@ -75,7 +75,7 @@ class RowsOnRanks:
             On every rank, if a part is corrupt or the parts do not fit together.
         """
         ranks = Ranks(comm)
-        matrix = ranks.together(lambda: _checked_rows(rows))
+        matrix = ranks.together(lambda: _checked_csr(rows))
         count, n = matrix.shape
         ranks.require_same("the number of columns", n, "every rank gives its rows at full width")
         halo = Halo(ranks.comm, count)
@@ -150,7 +150,7 @@ class RowsOnRanks:
         return f"RowsOnRanks(n={self.n}, ranks={self.halo.size})"
 
 
-def _checked_rows(rows: Any) -> sp.csr_array:
+def _checked_csr(rows: Any) -> sp.csr_array:
     """Return the rows as canonical CSR, every index checked: a wrong one would be met on another rank."""
     if not (sp.issparse(rows) and rows.ndim == 2):
         raise InvalidProblem(f"rows must be sparse, of shape (own, n), got {type(rows).__name__}")

@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass, field, replace
+from functools import partial
 from pkgutil import resolve_name
 from typing import Any
 
@@ -214,16 +215,12 @@ def solve_on_ranks(
     ranks = problem.halo
     is_positive = ranks.everywhere(problem.diagonal > 0.0)
     of_run = {name: options.pop(name) for name in OF_RUN & options.keys()}
+    plan = partial(chain, algorithm, options, problem.methods, is_positive=is_positive)
     settings, methods, callback = ranks.together(
-        lambda: (
-            Settings(**{"threads": 1, **of_run}),
-            chain(algorithm, options, problem.methods, is_positive=is_positive),
-            checked_callback(callback),
-        )
+        lambda: (Settings(**{"threads": 1, **of_run}), plan(), checked_callback(callback))
     )
-    ranks.require_same(
-        "what is asked of solve", (algorithm, options, settings), "ask for the same", InvalidOption
-    )
+    asked = algorithm, options, settings
+    ranks.require_same("what is asked of solve", asked, "ask for the same", InvalidOption)
     # Unknowns that rank 0 solves after multigrid
     is_gathered = algorithm == "auto" and problem.n <= 100_000
     if is_gathered:
@@ -232,8 +229,8 @@ def solve_on_ranks(
     z = np.clip(start, problem.lower, problem.upper)
     with threads_for(settings.threads), deferred_interruptions() as is_interrupted:
         run = RunOnRanks(problem, ProgressOnRanks(problem, settings, callback, is_interrupted))
-        plan = run.plan(methods, z, is_gathered=is_gathered)
-        result: ResultOnRanks = run.result(run.follow_all(plan))
+        stages = run.plan(methods, z, is_gathered=is_gathered)
+        result: ResultOnRanks = run.result(run.follow_all(stages))
     return result
 
 

@@ -28,7 +28,7 @@ from lcp_plugin import (
     gallery,
     solve,
 )
-from lcp_plugin.ranks.methods import build_hierarchy
+from lcp_plugin.ranks.methods import hierarchy_on_ranks
 from lcp_plugin.ranks.problem import RowsOnRanks
 from lcp_plugin.ranks.solving import ComponentsOnRanks, RowDataOnRanks
 from lcp_plugin.systems.hierarchy.truncation import KrylovCorrection, Truncation
@@ -339,7 +339,7 @@ def a_callback_ends_the_run_at_a_step_that_ends_its_method() -> None:
 def steps_of_conjugate_gradients_need_no_further_memory() -> None:
     problem = distributed(gallery.build("obstacle_2d", size=80).problem)
     with np.errstate(all="ignore"):
-        hierarchy = build_hierarchy(problem.rows, problem.halo, scales_rows=False)
+        hierarchy = hierarchy_on_ranks(problem.rows, problem.halo, scales_rows=False)
     correction = KrylovCorrection(Truncation(hierarchy), problem.q.copy(), True)
     tracemalloc.start()
     sizes = []

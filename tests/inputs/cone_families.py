@@ -9,7 +9,7 @@ import scipy.sparse as sp
 from mpmath import mp, mpf
 
 from lcp_plugin import ConeProblem, FrictionalContact
-from lcp_plugin.problems.cones.factors import stack_of
+from lcp_plugin.problems.cones.factors import cone_stack_of
 
 from .contact_families import delassus
 
@@ -119,7 +119,7 @@ def exact_relative_residual(problem: Any, z: Any) -> Any:
 def exact_residuals(problem: Any, z: Any) -> list[Any]:
     """‖R_k(z)‖ of each block, with 60 digits; of a contact the larger residual of its two laws."""
     mp.dps = 60
-    scale = stack_of(problem).d[0]
+    scale = cone_stack_of(problem).d[0]
     M = problem.rows.csr
     w = [mpf(q) for q in problem.q.tolist()]
     for i in range(problem.n):

@@ -141,10 +141,10 @@ def _without_free_rows(
         place, columns = np.searchsorted(stays, partners), np.column_stack([M[:, stays], q])
         # z and w of a partner's row change places
         columns[:, place], columns[partners, place] = 0.0, -1.0
-        solution = _solved(M, basic, columns[basic])
+        solution = _solved_block(M, basic, columns[basic])
         if solution is not None:
             break
-    reduced = _product(M[np.ix_(stays, basic)], solution, columns[stays])
+    reduced = _cleaned_product(M[np.ix_(stays, basic)], solution, columns[stays])
     reduced[place] = solution[gone.size :]
     M, q, upper, rows = reduced[:, :-1], reduced[:, -1], upper[stays], keep[stays]
     offset, elimination = base.copy(), solution[:, :-1]
@@ -176,7 +176,7 @@ def _with_partners(
     M: FloatMatrix, kept: IndexVector, lost: IndexVector, one_sided: IndexVector
 ) -> tuple[IndexVector, IndexVector]:
     """Return free rows, and as many other rows as may make their common block regular."""
-    solution = _solved(M, kept, M[np.ix_(kept, one_sided)])
+    solution = _solved_block(M, kept, M[np.ix_(kept, one_sided)])
     if solution is None or not (lost.size and one_sided.size):
         return kept, lost[:0]
     from scipy.linalg import qr
@@ -189,7 +189,7 @@ def _with_partners(
     return np.append(kept, lost[rows]), one_sided[order]
 
 
-def _solved(M: FloatMatrix, rows: IndexVector, right: FloatMatrix) -> Any:
+def _solved_block(M: FloatMatrix, rows: IndexVector, right: FloatMatrix) -> Any:
     """Return −block⁻¹ right for the block of these rows; None if it is ill-conditioned."""
     if not rows.size:
         return np.empty(right.shape)
@@ -218,6 +218,7 @@ def is_game(problem: LCP) -> bool:
 
 
 FloatMatrix = NDArray[np.float64]
+Move = tuple[int, float]  # the driven variable, and its direction
 
 ACCURATE = 1e-12  # relative residual of the basis up to which no new factorization is needed
 # relative to each |q|, and to the smallest nonzero |q| where q is 0: no two rows block at once
@@ -286,12 +287,12 @@ class LemkePath:
         return is_started
 
     def start_at_vertex(
-        self, covering: Vector, basis: Array, side: Array, moving: Any, level: float = 0.0
+        self, covering: Vector, basis: Array, side: Array, move: Move, level: float = 0.0
     ) -> bool:
-        """Start at a basis; `moving` are the driven variable and its direction, `level` is the value of a driven t."""
+        """Start at a basis; `move` are the driven variable and its direction, `level` is the value of a driven t."""
         self.covering = self.columns[:, self.n] = covering
         self.basis[:], self.side[:] = basis, side
-        (self.driven, self.direction), self.value = moving, level
+        (self.driven, self.direction), self.value = move, level
         self.whole[tableau.START, : self.n] = tableau.NOT_STARTED
         self.pivots = 0
         return self._renew()
@@ -323,7 +324,7 @@ class LemkePath:
     def _run(self, limit: int) -> int:
         arrays = self.real, self.whole, self.matrix, self.n
         driven = self.driven, self.value, self.direction
-        outcome, *moved, made = tableau.pivots(*arrays, *driven, self.age == 0, limit)
+        outcome, *moved, made = tableau.make_pivots(*arrays, *driven, self.age == 0, limit)
         self.driven, self.value, self.direction = moved
         self.pivots += int(made)
         self.age += int(made)
@@ -372,9 +373,9 @@ class LemkePath:
             beyond = D[np.ix_(slack_rows, columns)]
             top, below = np.empty((inner.size, n + 1)), np.zeros((outer.size, n + 1))
             top[:, is_slack] = inverse
-            top[:, ~is_slack] = _product(-inverse, D[np.ix_(rows, other_columns)])
+            top[:, ~is_slack] = _cleaned_product(-inverse, D[np.ix_(rows, other_columns)])
             below[:, ~is_slack] = D[np.ix_(slack_rows, other_columns)]
-            self.tableau[inner], self.tableau[outer] = top, _product(beyond, top, below)
+            self.tableau[inner], self.tableau[outer] = top, _cleaned_product(beyond, top, below)
             self.values[inner] = -inverse @ b[rows]
             self.values[outer] = beyond @ self.values[inner] + b[slack_rows]
         else:
@@ -440,7 +441,7 @@ class LemkePath:
         return z
 
 
-def _product(A: FloatMatrix, B: FloatMatrix, C: FloatMatrix | None = None) -> FloatMatrix:
+def _cleaned_product(A: FloatMatrix, B: FloatMatrix, C: FloatMatrix | None = None) -> FloatMatrix:
     """Return A B, or A B + C, with entries at rounding level set to 0."""
     product, terms = A @ B, np.abs(A) @ np.abs(B)
     if C is not None:

@@ -5,8 +5,8 @@ z_i, w_i is basic for every row i but the *driven* row; SIDE is the place of z_i
 basic), AT_UPPER (w_i ≤ 0 basic). Bounds belong to variables. The caller perturbs q, so that no two rows block at once.
 Variables are numbered z_i = i, w_i = n + i, t = 2n. Vectors are rows of `real`, index vectors rows of `whole`.
 
-A few pivots are made at a time, and the caller renews the tableau (:func:`pivots`). Rows are divided by their largest
-entry.
+A few pivots are made at a time, and the caller renews the tableau (:func:`make_pivots`). Rows are divided by their
+largest entry.
 """
 
 from __future__ import annotations
@@ -24,7 +24,7 @@ GOING_ON, SOLVED, RAY, LOST, RETURNED = 0, 1, 2, 3, 4
 
 
 @kernel
-def pivots(real, whole, matrix, n, driven, value, direction, is_fresh, limit):  # type: ignore[no-untyped-def]
+def make_pivots(real, whole, matrix, n, driven, value, direction, is_fresh, limit):  # type: ignore[no-untyped-def]
     """Make up to `limit` pivots; return (outcome, driven variable, its value and direction, pivots made).
 
     Parameters

@@ -139,7 +139,7 @@ def explore(
     if not is_searchable(problem):
         raise UnsuitableProblem(
             f"the search takes at most {LARGEST_CHOICES} rows with several pieces and n ≤ {MOST_SEARCHED}, "
-            f"got {_choices(problem)} and n = {problem.n}; solve(problem) looks for one solution"
+            f"got {_count_choices(problem)} and n = {problem.n}; solve(problem) looks for one solution"
         )
     explorer = Explorer(problem, effort, first_only=first_only)
     for _ in explorer.run():
@@ -234,7 +234,7 @@ def _in_doubles(values: Sequence[Fraction], name: str) -> Vector:
 
 def is_searchable(problem: LCP) -> bool:
     """Return whether the problem is small enough for a search."""
-    return _choices(problem) <= LARGEST_CHOICES and problem.n <= MOST_SEARCHED
+    return _count_choices(problem) <= LARGEST_CHOICES and problem.n <= MOST_SEARCHED
 
 
 def has_few_active_sets(problem: LCP) -> bool:
@@ -245,7 +245,7 @@ def has_few_active_sets(problem: LCP) -> bool:
     return problem.n <= 24 and bool(count <= 4096)
 
 
-def _choices(problem: LCP) -> int:
+def _count_choices(problem: LCP) -> int:
     """Return the number of rows with more than one branch."""
     is_free = unbounded(problem.lower, problem.upper)
     return int(np.count_nonzero(~is_free & (problem.lower < problem.upper)))

@@ -70,11 +70,8 @@ class Explorer:
                     self.simplex.set_bounds(x, *self.root_bounds[x])
             if row >= 0:
                 self.choose(row, choice)
-            branches = self._examined(case)
-            stack.extend(
-                (len(self.path), case.row, branch, case.branches[branch])
-                for branch in reversed(branches)
-            )
+            branches, depth = self._examined(case), len(self.path)
+            stack += [(depth, case.row, name, case.branches[name]) for name in reversed(branches)]
             self.nodes += 1
             self.effort.cases += 1
             yield

@@ -90,15 +90,10 @@ class ExactSimplex:
         """Solve the equations of free rows for as many free z as they determine."""
         for w in [w for w in self.basic if self._is_fixed(w)]:
             row = self.basic.index(w)
-            entries = enumerate(zip(self.nonbasic, self.rows[row], strict=False))
-            free = (
-                k
-                for k, (z, entry) in entries
-                if entry and z < self.n and self.bounds(z) == (None, None)
-            )
-            column = next(free, None)
-            if column is not None:
-                self._pivot(row, column, 0)
+            for column, (z, entry) in enumerate(zip(self.nonbasic, self.rows[row], strict=False)):
+                if entry and z < self.n and self.bounds(z) == (None, None):
+                    self._pivot(row, column, 0)
+                    break
 
     def bounds(self, x: int) -> tuple[Bound, Bound]:
         """Return both bounds of a variable."""
@@ -276,10 +271,8 @@ class ExactSimplex:
             if i != row:
                 factor = other[column]
                 if factor:
-                    self.rows[i] = [
-                        sign * ((a * pivot - factor * b) // old)
-                        for a, b in zip(other, pivot_row, strict=True)
-                    ]
+                    pairs = zip(other, pivot_row, strict=True)
+                    self.rows[i] = [sign * ((a * pivot - factor * b) // old) for a, b in pairs]
                     self.rows[i][column] = sign * factor
                 elif pivot != old * sign or sign < 0:
                     self.rows[i] = [sign * (a * pivot // old) if a else 0 for a in other]

@@ -31,7 +31,7 @@ from ..cones.data import Blocks
 from ..cones.frictional_contact import FrictionalContact, FrictionalContactBatch
 from ..cones.solving import solve_cone_stack
 from ..contact import motion_of
-from ..least_squares.data import BoundedLeastSquares, times
+from ..least_squares.data import BoundedLeastSquares, multiply
 from ..least_squares.solving import length_of_stack, solve_least_squares_stack, suits_stack
 from ..many import length_of_all, rows_of_a_batch
 
@@ -395,7 +395,7 @@ class RightSides(Rows):
     def objectives(self, z: Array) -> Any:
         """Return the cost of each z, shape (B,)."""
         stack = self.stack(slice(None))
-        return stack.cost(z, times(stack.A, z) - stack.b)
+        return stack.cost(z, multiply(stack.A, z) - stack.b)
 
 
 class ContactInstances(Instances):

@@ -90,14 +90,14 @@ def take_step(
         mean = float((x * y).sum()) / max(len(X), 1)
         after = float(((x + t * dx) * (y + t * dy)).sum()) / max(len(X), 1)
         root_x, root_dx = apply(root, X), apply(root, dx[cones])
-        right = product(root_dx, root_x + root_dx) - product(root_x, root_x)
+        right = jordan_product(root_dx, root_x + root_dx) - jordan_product(root_x, root_x)
         right[:, 0] += mean * min(1.0, max(after / mean, 0.0) ** 3) if mean else 0.0
-        dx, dy = direction(apply(root, quotient(right, root_x)))
+        dx, dy = direction(apply(root, jordan_quotient(right, root_x)))
         t = TO_THE_BOUNDARY * reach(dx, dy)
         for sigma in CENTERED if t < SHORT else ():
-            right = -product(root_x, root_x)
+            right = -jordan_product(root_x, root_x)
             right[:, 0] += sigma * mean
-            centering = direction(apply(root, quotient(right, root_x)), 1.0 - sigma)
+            centering = direction(apply(root, jordan_quotient(right, root_x)), 1.0 - sigma)
             further = TO_THE_BOUNDARY * reach(*centering)
             if further > t:
                 (dx, dy), t = centering, further
@@ -117,12 +117,12 @@ def determinant(x: Cones) -> Vector:
     return (x[:, 0] - tangent) * (x[:, 0] + tangent)
 
 
-def product(a: Cones, b: Cones) -> Cones:
+def jordan_product(a: Cones, b: Cones) -> Cones:
     """Return Jordan's product (aᵀb, a_N b_T + b_N a_T)."""
     return np.column_stack([(a * b).sum(axis=1), a[:, :1] * b[:, 1:] + b[:, :1] * a[:, 1:]])
 
 
-def quotient(b: Cones, a: Cones) -> Cones:
+def jordan_quotient(b: Cones, a: Cones) -> Cones:
     """Return the c whose Jordan product with a is b."""
     normal = ((a[:, 0] * b[:, 0] - (a[:, 1:] * b[:, 1:]).sum(axis=1)) / determinant(a))[:, None]
     return np.column_stack([normal, (b[:, 1:] - normal * a[:, 1:]) / a[:, :1]])

@@ -33,6 +33,7 @@ from ...core.cone_stack import length
 from ...core.names import Names, describe_radius, listed
 from ...core.settings import Status
 from ...core.structure import is_nearly_symmetric
+from ...judges.certificate import describe_measures
 from ...judges.cones import ConeRows
 from ...judges.lcp import Measured, divide_nonnegative
 from ...judges.worst_rows import WorstRows, worst_pairs
@@ -40,12 +41,12 @@ from ...proofs.farkas import FarkasCertificate, LinearConstraints
 from ...proofs.no_solution import is_minimizer_beyond_radius
 from ...systems.equilibration import power_of_two
 from .data import Blocks, conic_rows, solve_conic
-from .factors import stack_of
+from .factors import cone_stack_of
 
 
 def criterion_at(problem: Blocks, x: Vector) -> tuple[ConeRows, Vector, None, Names]:
     """Return the data of the criterion, with x in their shape, no slack, and the names."""
-    rows = ConeRows(stack_of(problem))
+    rows = ConeRows(cone_stack_of(problem))
     return rows, x if rows.stack.pattern.is_sparse else x[None], None, problem.rows.names
 
 
@@ -78,7 +79,7 @@ class ConeCertificate:
     @derived_property
     def criterion(self) -> ConeRows:
         """The data of the criterion."""
-        return ConeRows(stack_of(self.problem))
+        return ConeRows(cone_stack_of(self.problem))
 
     @derived_property
     def measured(self) -> Measured:
@@ -135,9 +136,7 @@ class ConeCertificate:
 
     def __str__(self) -> str:
         names = "relative_residual", "natural_residual", "term_residual"
-        lines = [(name.replace("_", " "), getattr(self, name)) for name in names]
-        lines.append(("z · w", float(self.z @ self.w)))
-        return "\n".join(f"{name:<18} {value:.3e}" for name, value in lines)
+        return f"{describe_measures(self, *names)}\n{'z · w':<18} {float(self.z @ self.w):.3e}"
 
 
 DIGITS = 2.0**-20  # of the largest |y_i|: y is rounded to multiples, so that sums cancel exactly
@@ -211,7 +210,7 @@ class ContactInfeasibility:
     @derived_property
     def margin(self) -> float:
         """Lower bound of the relative residual of every point, as the criterion measures it."""
-        problem, stack = self.problem, stack_of(self.problem)
+        problem, stack = self.problem, cone_stack_of(self.problem)
         pulled, wide, rows = problem.rows.csr.T @ self.y, stack.pattern.wide, ConeRows(stack)
         of_y, of_pull = (length(wide(vector[None]))[0] for vector in (self.y, pulled))
         weights = np.sqrt(1.0 + problem.slope**2) * stack.d[0] * of_y + of_pull

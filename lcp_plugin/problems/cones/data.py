@@ -29,7 +29,7 @@ from ...core.files import MATRIX_KEYS, save_arrays
 from ...core.lcp import LCP
 from ...core.names import format_count
 from ...core.problem import Problem
-from .factors import stack_of
+from .factors import cone_stack_of
 
 CONES = ("free", "nonnegative", "box", "second_order")
 NEED_CONES = (
@@ -90,7 +90,7 @@ class Blocks(Problem):
 
     def residual(self, z: Vector, w: Vector) -> Vector:
         """Return R = z − P_K(z − ŵ/d), shape (n,)."""
-        stack = stack_of(self)
+        stack = cone_stack_of(self)
         wide, flat = stack.pattern.wide, stack.pattern.flat
         return flat(stack.residual(wide(z[None]), wide(w[None]))[0])[0]
 
@@ -243,7 +243,7 @@ def minimizers(problem: Blocks, z: Vector) -> Iterator[Vector]:
     symmetric = sp.csc_array(0.5 * (M + M.T))
     skew, P, first = sp.csr_array(M - symmetric), sp.triu(symmetric), problem.starts[:-1]
     rows, limits, cones = conic_rows(problem)
-    is_final, stack = not (problem.has_friction or skew.count_nonzero()), stack_of(problem)
+    is_final, stack = not (problem.has_friction or skew.count_nonzero()), cone_stack_of(problem)
     while True:
         q = problem.q + skew @ z
         if problem.has_friction:

@@ -22,7 +22,7 @@ from ...core.matrix import Matrix
 from ...systems.free_systems import FreeSystem, LinearizedSystem
 from ...systems.graph import outer_on_pattern
 from .data import Blocks
-from .factors import stack_of
+from .factors import cone_stack_of
 from .newton import polish_points, system_of_free_rows
 
 ROUNDING = 1e-12  # of a block's terms |M||z| + |q|: distance to another mode of a degenerate block
@@ -159,7 +159,7 @@ class ConeDerivative:
     """
 
     def __init__(self, problem: Blocks, z: Vector) -> None:
-        stack = stack_of(problem)
+        stack = cone_stack_of(problem)
         self.problem = problem
         self._of = StackDerivative(stack, stack.pattern.wide(np.array(z)[None]))
         self.z, self.w = (stack.pattern.flat(vector)[0] for vector in (self._of.z, self._of.w))

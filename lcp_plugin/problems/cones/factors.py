@@ -108,7 +108,7 @@ class Arms:
 
 
 @fact
-def pattern_of(problem: Any) -> tuple[Pattern, Arms | None]:
+def matrix_blocks(problem: Any) -> tuple[Pattern, Arms | None]:
     """Return the blocks of M, and the bodies behind them, which problems with this matrix share."""
     M = problem.rows.M
     # A small sparse problem is stored as dense
@@ -119,9 +119,9 @@ def pattern_of(problem: Any) -> tuple[Pattern, Arms | None]:
     return pattern, Arms(problem.bodies, pattern) if has_arms else None
 
 
-def stack_of(problem: Any) -> ConeStack:
+def cone_stack_of(problem: Any) -> ConeStack:
     """Return the stack of one problem."""
-    pattern, arms = pattern_of(problem)
+    pattern, arms = matrix_blocks(problem)
     vectors = problem.q, problem.slope, problem.lower, problem.upper
     stacked, has_friction = (vector[None] for vector in vectors), problem.has_friction
     with np.errstate(all="ignore"):

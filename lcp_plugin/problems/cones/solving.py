@@ -29,7 +29,7 @@ from ..contact import ContactMotion, motion_of
 from . import methods, newton
 from .certificate import ConeCertificate, ContactInfeasibility, infeasibility_proof
 from .data import Blocks
-from .factors import FEW, stack_of
+from .factors import FEW, cone_stack_of
 from .frictional_contact import FrictionalContact
 from .methods import METHODS, ConeAlgorithm
 from .sweeps import SWEEPS_PER_STEP, sweep_blocks, sweep_contacts
@@ -149,7 +149,7 @@ def projected_on_cones(problem: Blocks, z: Vector) -> Vector:
         is_inside = tangents <= problem.slope * z[first] * (1.0 + 2.0**-50)
         if np.logical_and.reduce(is_inside | (problem.sizes == 1)):
             return z
-    stack = stack_of(problem)
+    stack = cone_stack_of(problem)
     return read_only(stack.pattern.flat(stack.project(stack.pattern.wide(z[None])))[0])
 
 
@@ -243,7 +243,7 @@ class ConeRun(Run):
     ) -> None:
         super().__init__(progress)
         self.swept = swept
-        self.problem, self.chosen, self.stack = problem, chosen, stack_of(problem)
+        self.problem, self.chosen, self.stack = problem, chosen, cone_stack_of(problem)
         stack = self.stack
         self.place = place or (np.empty(problem.n), slice(None), 1.0)
         self.tolerance, self.absolute = self.settings.tolerance, self.settings.absolute_tolerance

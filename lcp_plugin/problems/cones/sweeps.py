@@ -103,7 +103,7 @@ def _project_steps(A, b, f, friction, step, size, x, w):  # type: ignore[no-unty
 
 
 @helper
-def _solve_block(A, b, f, friction, size, low, high, d, x, w):  # type: ignore[no-untyped-def]
+def _solve_one_block(A, b, f, friction, size, low, high, d, x, w):  # type: ignore[no-untyped-def]
     """Solve a block with slack A x + b for x, in place."""
     if size == 1:
         if A[0, 0] > 0.0:
@@ -113,7 +113,7 @@ def _solve_block(A, b, f, friction, size, low, high, d, x, w):  # type: ignore[n
 
 
 @kernel
-def sweep(  # type: ignore[no-untyped-def]
+def sweep_stack(  # type: ignore[no-untyped-def]
     starts, friction, mu, lower, upper, indptr, indices, data, q, blocks, d, most, stop, z, counts
 ):
     """Sweep over z, (B, n), until the changes of each problem are `stop` times its largest z_i; count the sweeps."""
@@ -135,7 +135,7 @@ def sweep(  # type: ignore[no-untyped-def]
                         total -= A[i, j] * z[instance, first + j]
                     b[i], x[i] = total, z[instance, first + i]
                 low, high = lower[bounds, c], upper[bounds, c]
-                _solve_block(A, b, f, friction, size, low, high, d[instance, c], x, w)
+                _solve_one_block(A, b, f, friction, size, low, high, d[instance, c], x, w)
                 for i in range(size):
                     moved = max(moved, abs(x[i] - z[instance, first + i]))
                     largest = max(largest, abs(x[i]))
@@ -185,7 +185,7 @@ def sweep_small(starts, W, b, mu, tolerance, most, z):  # type: ignore[no-untype
                 offset[i], x[i] = w[first + i], z[first + i]
                 for j in range(size):
                     offset[i] -= A[i, j] * z[first + j]
-            _solve_block(A, offset, mu[c], True, size, -np.inf, np.inf, d[c], x, free)
+            _solve_one_block(A, offset, mu[c], True, size, -np.inf, np.inf, d[c], x, free)
             for j in range(size):
                 step = x[j] - z[first + j]
                 largest, moved = max(largest, abs(x[j])), max(moved, abs(step))
@@ -202,7 +202,7 @@ def sweep_blocks(stack: ConeStack, z: Array, most: int, stop: float) -> tuple[Ar
     arrays = stack.mu, stack.low, stack.high, *pattern.entries, q, blocks
     starts, *data = map(read_only, map(np.ascontiguousarray, (pattern.starts, *arrays, stack.d)))
     z, counts = np.array(pattern.flat(z), order="C"), np.zeros(stack.B, np.int64)
-    sweep(starts, stack.has_friction, *data, most, stop, z, counts)
+    sweep_stack(starts, stack.has_friction, *data, most, stop, z, counts)
     return pattern.wide(z), counts
 
 

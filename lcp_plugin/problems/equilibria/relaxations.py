@@ -119,7 +119,7 @@ class Relaxations:
         if program is None:
             node.bound = math.inf
             return node
-        solutions = [_solution_of(program)]
+        solutions = [_solved_program(program)]
         if not solutions[0].is_optimal():
             proof = prove_infeasible(program)
             if proof is not None and proof.is_exact and proof.excludes(self.tolerance):
@@ -176,7 +176,7 @@ class Relaxations:
             program = self._linearized(x, lower, upper, is_feasible=node.point is not None)
             if program is None:
                 return node
-            solution = _solution_of(program)
+            solution = _solved_program(program)
             self.solved += 1
             if not solution.is_optimal():
                 return node
@@ -200,7 +200,7 @@ class Relaxations:
         with suppress(UnsupportedModel):
             P = P + penalty * (rows.T @ rows)
             penalized = program.with_data(P=P, c=c, lower=lower, upper=upper)
-            solution = _solution_of(penalized, tolerance=1e-10)
+            solution = _solved_program(penalized, tolerance=1e-10)
             self.solved += 1
             x = self._round_small(np.clip(solution.x, lower, upper), solution.program)
             if solution.is_optimal() and self.problem.excess(x) <= FEASIBLE:
@@ -239,7 +239,7 @@ class Relaxations:
         """Return the point nearest to x that satisfies the affine rows and bounds, complementary or not."""
         program = self.problem.program
         near = program.with_data(P=sp.eye_array(x.size), c=-x)
-        return np.clip(_solution_of(near).x, program.lower, program.upper)
+        return np.clip(_solved_program(near).x, program.lower, program.upper)
 
     def _solve_in_box(self, program: QuadraticProgram) -> QPSolution:
         """Return the solution within a large box, at its edge if the program is unbounded."""
@@ -248,10 +248,10 @@ class Relaxations:
         # Times the size of x in the data: a point of larger norm counts as unbounded
         far = 1e4 * (1.0 + float(limits[rows.finite].max(initial=0.0)))
         lower, upper = np.maximum(program.lower, -far), np.minimum(program.upper, far)
-        return _solution_of(program.with_vectors(lower=lower, upper=upper))
+        return _solved_program(program.with_vectors(lower=lower, upper=upper))
 
 
-def _solution_of(program: QuadraticProgram, **options: Any) -> QPSolution:
+def _solved_program(program: QuadraticProgram, **options: Any) -> QPSolution:
     """Return the solution of a program; raise KeyboardInterrupt if Ctrl-C ended the solve."""
     result = solve_program(program, prove_infeasibility=False, **options)
     if result.status is Status.INTERRUPTED:

@@ -82,7 +82,7 @@ class BoundedLeastSquares(Problem):
         l1: ArrayLike = 0.0,
     ) -> None:
         shared_labels(self.axes, locals())
-        self.A = _checked(A)
+        self.A = _checked_matrix(A)
         self.is_dense = isinstance(self.A, np.ndarray)
         self.is_sparse = not self.is_dense
         m, n = self.shape = self.A.shape
@@ -377,7 +377,7 @@ def _nonnegative(vector: Vector, name: str) -> Vector:
     return vector
 
 
-def _checked(A: AnyMatrix) -> Any:
+def _checked_matrix(A: AnyMatrix) -> Any:
     matrix = checks.rectangular_matrix(A, "A", None, None, is_copied=False)
     is_by_columns = isinstance(matrix, np.ndarray) and not matrix.flags.c_contiguous
     is_kept = not is_by_columns or (matrix.flags.f_contiguous and matrix.size > MAX_DENSE_ENTRIES)
@@ -433,7 +433,7 @@ class Enclosures:
         The terms of rows are compared in units of the rows of A, with columns of unit length.
         """
         problem = self.problem
-        size, unit = times(problem.sizes, np.abs(problem.nearest_to_zero)), problem.row_units
+        size, unit = multiply(problem.sizes, np.abs(problem.nearest_to_zero)), problem.row_units
         largest = ((size + np.abs(problem.b)) / unit).max(-1, keepdims=True, initial=0.0)
         return gamma(2 * problem.terms[0] + 8) * RAN_AWAY * unit * largest
 
@@ -468,12 +468,14 @@ class Enclosures:
         sizes, terms = problem.sizes.T, problem.terms[1]
         return self._product(problem.A.T, sizes, weighted, radius, 0.0, terms)
 
-    def _product(self, B: Any, sizes: Any, v: Vector, radius: Any, less: Any, terms: int) -> Ball:
+    def _product(
+        self, B: Any, sizes: Any, v: Vector, radius: Array, less: Array, terms: int
+    ) -> Ball:
         """Return B v − less for a v known up to radius, with |B| = sizes and so many terms in a row of B."""
-        unsure = OUTWARD * times(sizes, radius) if radius.size else 0.0
-        size = times(sizes, np.abs(v)) + np.abs(less) + unsure
+        unsure = OUTWARD * multiply(sizes, radius) if radius.size else 0.0
+        size = multiply(sizes, np.abs(v)) + np.abs(less) + unsure
         rounding = gamma(2 * terms + 8) * OUTWARD * size + (2 * terms + 8) * TINY * (size > 0.0)
-        return times(B, v) - less, rounding + unsure
+        return multiply(B, v) - less, rounding + unsure
 
     @cached_property
     def reference(self) -> float:
@@ -492,6 +494,6 @@ def shortest_solution(A: Vector, b: Vector) -> Vector:
     return lstsq(A, b, max(A.shape) * EPSILON, check_finite=False, lapack_driver="gelsy")[0]
 
 
-def times(B: AnyMatrix, v: Vector) -> Vector:
+def multiply(B: AnyMatrix, v: Vector) -> Vector:
     """Return B v, for each row of v if v has two axes."""
     return B @ v if v.ndim == 1 else v @ B.T

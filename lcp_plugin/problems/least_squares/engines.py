@@ -380,7 +380,7 @@ class Split(NamedTuple):
         E, k = self.E, self.slopes.size
         none = np.zeros((0, k)), np.zeros(0)
         cost = self.slopes - E.T @ b
-        z = _answer(E.T @ E, cost, *none, *none, self.lower, self.upper)[1].x
+        z = _run_piqp(E.T @ E, cost, *none, *none, self.lower, self.upper)[1].x
         slope = E.T @ (E @ z) + cost
         z = np.where(slope > z - self.lower, self.lower, z)
         return self.join_parts(np.where(-slope > self.upper - z, self.upper, z))
@@ -392,7 +392,7 @@ class Split(NamedTuple):
         E = sp.csr_array(sp.hstack([self.E, -sp.eye_array(m)]))
         none, free = (sp.csr_array((0, k + m)), np.zeros(0)), np.full(m, np.inf)
         bounds = np.append(self.lower, -free), np.append(self.upper, free)
-        program, answer = _answer(P, np.append(self.slopes, np.zeros(m)), *none, E, b, *bounds)
+        program, answer = _run_piqp(P, np.append(self.slopes, np.zeros(m)), *none, E, b, *bounds)
         if np.isfinite(answer.x).all():
             for point in (*polish_steps(program, answer), answer):
                 yield self.join_parts(point.x[:k])
@@ -408,14 +408,14 @@ class Split(NamedTuple):
         free, cost = np.full(m, np.inf), b - self.E @ start
         inequalities = rows[is_bounded], right[is_bounded]
         equations = rows[~is_bounded], right[~is_bounded]
-        answer = _answer(unit * np.eye(m), cost, *inequalities, *equations, -free, free)[1]
+        answer = _run_piqp(unit * np.eye(m), cost, *inequalities, *equations, -free, free)[1]
         z = np.zeros(sign.size)
         z[is_bounded], z[~is_bounded] = np.split(answer.y, [np.count_nonzero(is_bounded)])
         z = np.where(is_bounded & (z <= right - rows @ answer.x), 0.0, z)
         return self.join_parts(start + sign * z)
 
 
-def _answer(*statement: Any) -> tuple[ProgramData, EnginePoint]:
+def _run_piqp(*statement: Any) -> tuple[ProgramData, EnginePoint]:
     """Return the program, and PIQP's point at a tolerance at which a small l1 counts."""
     program = ProgramData(*statement)
     engine = engine_class("piqp")(eps_abs=1e-13, eps_rel=1e-13)

@@ -32,8 +32,7 @@ from ...core.settings import Settings
 from ...judges.lcp import RowData, measured_residual
 from ...methods.lemke import Lemke
 from ...methods.newton import Newton, classify, fischer_burmeister, solve_active_set
-from ...methods.small import SMALL_DENSE, candidates, rounds, takes_rounds
-from ...methods.small import solve_active_set as solve_small_active_set
+from ...methods.small import SMALL_DENSE, active_point, candidates, rounds, takes_rounds
 from ...solving.dispatch import method_of
 from ...solving.lcp_run import LCPRun
 from ...solving.plan import plan
@@ -145,7 +144,7 @@ def small_step(M: Vector, w: Vector, lower: Vector, upper: Vector, scale: Vector
     step = w / scale
     most = 0.5 * max_norm(clip(step, -upper, -lower))
     side = np.where(step >= -lower, LOW, FREE + (step <= -upper))
-    d = solve_small_active_set(M, w, lower, upper, side)
+    d = active_point(M, w, lower, upper, side)
     above, below, step = d - lower, d - upper, (M @ d + w) / scale
     if np.logical_and.reduce(np.where(step >= above, LOW, FREE + (step <= below)) == side):
         residual = np.abs(clip(step, below, above))

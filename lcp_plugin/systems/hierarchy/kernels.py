@@ -44,7 +44,7 @@ if TYPE_CHECKING:
 INVERTIBLE = 1e-300  # its inverse is finite
 
 
-def product(
+def galerkin(
     matrix: Operator, prolongation: Operator, restriction: Operator, columns: int
 ) -> Operator:
     """Return R M P with sorted rows, for a P that injects the coarse unknowns and M with a stored diagonal.
@@ -192,7 +192,7 @@ def _product_of(rows: Matrix, begins: Any, further: int, *operands: Any) -> Any:
     return partial(_products, rows[0], begins, further, *rows[2:], *operands)
 
 
-def free_rows(
+def mark_free(
     rows: Matrix, vectors: Vectors, z: Vector, flags: tuple[BoolVector, ...], residual: Vector
 ) -> tuple[float, int]:
     """Find the free rows of z: rows strictly between their bounds, or pushed off the bound by w, and their changes.
@@ -314,7 +314,7 @@ def _products(  # type: ignore[no-untyped-def]
 
 @kernel
 def _free_rows(matrix, vectors, z, is_free, is_changed, residual, first, end):  # type: ignore[no-untyped-def]
-    """Apply `free_rows` to the rows from first to end, in order; a NaN is the largest residual."""
+    """Apply `mark_free` to the rows from first to end, in order; a NaN is the largest residual."""
     (indptr, indices, data), (inverse, q, lower, upper) = matrix, vectors
     one, largest, changed = uintp(1), 0.0, 0
     for i in range(uintp(first), uintp(end)):

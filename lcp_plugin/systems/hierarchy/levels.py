@@ -35,6 +35,7 @@ from .grids import Grid, Hierarchy, NoGhosts, Operator, Transfer, blocks_of, piv
 # anisotropy, weak couplings are misleading.
 STRENGTH, STRENGTH_AMONG_POSITIVE = 0.25, 0.4
 NOTEWORTHY_LONELY = 5e-4  # share of the unknowns that depend on others, but on no coarse unknown
+Spread = Callable[[Any], Any]
 COARSEST = 60  # rows that are not coarsened
 LARGEST_GRID_SHARE = 0.85  # a coarser grid with more unknowns than this is not worth its visit
 
@@ -98,7 +99,7 @@ def build_hierarchy(
         if P.shape[1] > LARGEST_GRID_SHARE * grid.n or products > 45.0 * entries:
             return Hierarchy(alone, (), work, is_helpful=False)
         require_seconds(0.0)
-        coarse = kernels.product(grid.matrix, prolongation, restriction, P.shape[1])
+        coarse = kernels.galerkin(grid.matrix, prolongation, restriction, P.shape[1])
         grid = grid_of(coarse, may_cut=not scales_rows)
         grids.append(grid)
         transfers.append(Transfer(prolongation, restriction, is_coarse))
@@ -136,7 +137,7 @@ def strength_of(positive_share: float) -> float:
 
 
 def interpolation_of(
-    rows: Arrays, n: int, strength: float, *, second_pass: bool, spread: Any = np.asarray
+    rows: Arrays, n: int, strength: float, *, second_pass: bool, spread: Spread = np.asarray
 ) -> tuple[NDArray[np.bool_], sp.csr_array, int]:
     """Return the mask of the coarse unknowns, P, and the number of fine unknowns without a coarse neighbor.
 
@@ -160,7 +161,7 @@ def interpolation_of(
 
 
 def _interpolation_in_numpy(
-    M: AnyMatrix, n: int, strength: float, spread: Callable[[Any], Any]
+    M: AnyMatrix, n: int, strength: float, spread: Spread
 ) -> tuple[NDArray[np.bool_], sp.csr_array, int]:
     """Return the result of :func:`interpolation_of` without pyamg.
 

@@ -13,7 +13,7 @@ from oracles.truth import ExactData
 from lcp_plugin import LCP, Status, solve, solve_batch
 from lcp_plugin.core.checks import read_only
 from lcp_plugin.judges.lcp import bound_residual, row_data
-from lcp_plugin.methods.small import FREE, dense_data, solve_active_set, solve_stack
+from lcp_plugin.methods.small import FREE, active_point, dense_data, solve_stack
 
 INF = np.inf
 
@@ -188,9 +188,7 @@ def test_the_far_field_of_a_stack_is_solved_in_the_stack():
 def test_a_singular_consistent_active_set_has_its_least_solution():
     """Of a network with every balance stated, one potential is superfluous."""
     M = np.array([[1.0, -1.0], [-1.0, 1.0]])
-    z = solve_active_set(
-        M, np.array([-1.0, 1.0]), np.zeros(2), np.full(2, np.inf), np.full(2, FREE)
-    )
+    z = active_point(M, np.array([-1.0, 1.0]), np.zeros(2), np.full(2, np.inf), np.full(2, FREE))
     np.testing.assert_allclose(z, [0.5, -0.5])
 
 

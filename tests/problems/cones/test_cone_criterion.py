@@ -14,7 +14,7 @@ from inputs.cone_families import exact_residuals, planted_cones, planted_contact
 from lcp_plugin import ConeProblem, FrictionalContact, Status, certify, march, solve, solve_batch
 from lcp_plugin.core.cone_stack import Pattern
 from lcp_plugin.judges.cones import ConeRows
-from lcp_plugin.problems.cones.factors import stack_of
+from lcp_plugin.problems.cones.factors import cone_stack_of
 from lcp_plugin.problems.cones.sweeps import sweep_contacts
 
 LINK = np.eye(6)
@@ -66,7 +66,7 @@ def test_a_constructed_wrong_point_is_never_solved(name):
         if status is Status.SOLVED:
             np.testing.assert_allclose(z, right, rtol=1e-6, atol=1e-6)
     assert solve(problem).is_solved is (right is not None)
-    stack = stack_of(problem)
+    stack = cone_stack_of(problem)
     measured = ConeRows(stack).measure_blocks(stack.pattern.wide(wrong[None]), 1e-8)
     is_moved = right is not None and np.allclose(measured.z.ravel(), right)
     assert is_moved or not measured.passes[0]
@@ -84,7 +84,7 @@ def test_solutions_pass_exactly_and_one_ulp_off(draws):
     rng, count = np.random.default_rng(0), 0
     for seed in draws(200):
         _, problem, run, kept = campaign.drawn(seed)
-        stack = stack_of(run)
+        stack = cone_stack_of(run)
         for right in campaign.solutions(problem)[0]:
             z = np.zeros(run.n)
             z[kept] = [float(x) for x in right]
@@ -127,7 +127,7 @@ def test_bounds_of_the_residual_hold_within_rounding_of_an_edge():
         z = np.array([1.0, *way]) * 10.0 ** rng.uniform(-3, 3)
         w = np.array([1.0, *-way]) * 10.0 ** rng.uniform(-18, -6) * z[0]
         z = z + w * rng.uniform(0, 2)
-        stack = stack_of(ConeProblem(np.eye(3), w, [("second_order", 3)]))
+        stack = cone_stack_of(ConeProblem(np.eye(3), w, [("second_order", 3)]))
         low, high = (ends[0, 0] for ends in ConeRows(stack).residual_ends(z[None], w[None]))
         right = exact_residuals(ConeProblem(np.zeros((3, 3)), w, [("second_order", 3)]), z)[0]
         assert low <= right <= high, seed
@@ -155,7 +155,7 @@ def test_the_sufficient_test_accepts_only_points_that_pass(draws):
         problem, r, _ = planted_contacts(int(rng.integers(1, 6)), 2, 10.0, rng)
         scale, error = 10.0 ** rng.uniform(-9, 9), 10.0 ** rng.uniform(-18, -4)
         problem = problem.with_q(scale * problem.q)
-        stack, z = stack_of(problem), scale * r * (1.0 + error * rng.standard_normal(r.size))
+        stack, z = cone_stack_of(problem), scale * r * (1.0 + error * rng.standard_normal(r.size))
         with np.errstate(all="ignore"):
             at = stack.snap(stack.pattern.wide(z[None]))
             bound = sweep_contacts(problem, stack.pattern.flat(at)[0], 1e-8, 0)[2]

@@ -16,7 +16,7 @@ from lcp_plugin import (
     derivative,
     solve_batch,
 )
-from lcp_plugin.problems.cones.factors import stack_of
+from lcp_plugin.problems.cones.factors import cone_stack_of
 from lcp_plugin.problems.sensitivity import ContactBatchDerivative
 
 
@@ -48,7 +48,7 @@ def test_what_sticks_on_one_body_has_the_gradient_of_least_norm():
     assert sticks.sum() >= 10
     gradient = found.vjp(g)
     for k in np.flatnonzero(sticks):
-        d = np.repeat(stack_of(found.instances[k]).d[0], 3)
+        d = np.repeat(cone_stack_of(found.instances[k]).d[0], 3)
         assert close(
             gradient.q[k], -np.linalg.pinv(W[k] / d[:, np.newaxis], rcond=1e-12).T @ g[k] / d, 1e-8
         )

@@ -70,9 +70,7 @@ class Blocks(Problem):
     upper = property(attrgetter("rows.upper"), doc="Upper bounds, shape (n,): ∞ in cones.")
     matrix = property(attrgetter("rows.matrix"), doc="The matrix with its facts.")
     nonzeros = property(attrgetter("rows.nonzeros"), doc="Number of entries of the matrix.")
-    nearest_to_zero = property(
-        attrgetter("rows.nearest_to_zero"), doc="Point of K nearest to 0, shape (n,)."
-    )
+    nearest_to_zero = property(attrgetter("rows.nearest_to_zero"), doc="Point of K nearest to 0.")
 
     def slack(self, z: ArrayLike) -> Vector:
         """Return w = M z + q, shape (n,): velocities, of impulses."""

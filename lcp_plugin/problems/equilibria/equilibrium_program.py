@@ -115,7 +115,7 @@ class EquilibriumProgram:
                     "for each pair the index of z in first, the index of w in second; integers lists integer variables"
                 )
             if (outside := index[(index < 0) | (index >= n)]).size:
-                raise InvalidProblem(f"{name} must lie between 0 and {n - 1}, got {outside[0]}")
+                raise InvalidProblem(f"{name} must number variables 0 to {n - 1}, got {outside[0]}")
             checks.fill(self, **{name: index.astype(np.int64)})
         low = self.program.lower[self.first] if self.lower is None else self.lower
         high = self.program.upper[self.first] if self.upper is None else self.upper

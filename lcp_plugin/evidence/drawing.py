@@ -30,6 +30,7 @@ from ..solving.result import BaseResult, Result
 if TYPE_CHECKING:
     from ..problems.parametric.path import Path as ParametricPath
 
+Axes = Any  # of matplotlib, which loads with the first figure
 UNTOUCHED = 1.5  # the level of a node that no bound is near to
 FORMATS = (".png", ".pdf", ".svg")
 STYLE: Any = {
@@ -114,7 +115,7 @@ def panels(titles: Sequence[str], width: float | None = None) -> Iterator[list[A
         figure.set_size_inches(width, height + math.ceil(len(named) / count) * 0.17)
 
 
-def draw_curve(axes: Any, x: Any, y: Any, label: str, look: Any, is_solved: bool) -> None:
+def draw_curve(axes: Axes, x: Any, y: Any, label: str, look: Any, is_solved: bool) -> None:
     """Draw a curve with some markers, which ends in a cross unless it is solved."""
     marks = np.unique(np.linspace(0, max(len(x) - 1, 0), 7).astype(int))
     label = label if is_solved else f"{label} ✕"
@@ -123,7 +124,7 @@ def draw_curve(axes: Any, x: Any, y: Any, label: str, look: Any, is_solved: bool
         axes.plot(x[-1:], y[-1:], "x", color=look["color"], markersize=6, zorder=5)
 
 
-def draw_tolerance(axes: Any, tolerance: float) -> None:
+def draw_tolerance(axes: Axes, tolerance: float) -> None:
     """Draw the tolerance as a line with its name."""
     axes.axhline(tolerance, color="#777777", linewidth=0.8, linestyle=(0, (4, 3)), zorder=1)
     axes.text(1.0, tolerance, " tolerance", transform=axes.get_yaxis_transform(),
@@ -133,7 +134,9 @@ def draw_tolerance(axes: Any, tolerance: float) -> None:
 # --- A solution -----------------------------------------------------------------------------------------------
 
 
-def plot_answer(answer: BaseResult, *, axes: Any = None, shape: Sequence[int] | None = None) -> Any:
+def plot_answer(
+    answer: BaseResult, *, axes: Axes = None, shape: Sequence[int] | None = None
+) -> Any:
     """Return matplotlib's axes with a figure of a solution.
 
     The unknowns by index, or as a map on a grid with the free boundary; contact with friction as tangential impulses in
@@ -217,7 +220,7 @@ def _grid_of(answer: Any) -> tuple[int, ...] | None:
     return tuple(b // a for a, b in pairwise(ends))[::-1] if is_even and is_cut else None
 
 
-def _plotted(answer: BaseResult, frame: Frame, axes: Any, new: Callable[..., Any]) -> Any:
+def _plotted(answer: BaseResult, frame: Frame, axes: Axes, new: Callable[..., Any]) -> Any:
     """Draw into `axes`, or into a new figure with a panel for the residual of a recorded run."""
     is_recorded = bool(getattr(answer, "history", ()))
     is_contact = isinstance(getattr(answer, "problem", None), FrictionalContact)
@@ -245,7 +248,7 @@ def _bounds(answer: object) -> tuple[Vector, Vector]:
     return problem.lower, problem.upper
 
 
-def _draw_unknowns(axes: Any, answer: Any, frame: Frame) -> None:
+def _draw_unknowns(axes: Axes, answer: Any, frame: Frame) -> None:
     from matplotlib.ticker import MaxNLocator
 
     x, (lower, upper) = np.asarray(answer.x), _bounds(answer)
@@ -317,7 +320,7 @@ def contact_level(answer: Certificate) -> Vector:
     return level
 
 
-def _draw_map(axes: Any, x: Array, active: Any, level: Any, frame: Frame) -> None:
+def _draw_map(axes: Axes, x: Array, active: Any, level: Any, frame: Frame) -> None:
     """Draw values over a grid as colors, with the free boundary as a line."""
     nodes = [*(frame.coordinates or [np.arange(size, dtype=float) for size in x.shape])]
     while x.ndim > 2:
@@ -334,7 +337,7 @@ def _draw_map(axes: Any, x: Array, active: Any, level: Any, frame: Frame) -> Non
     axes.set(xlabel=x_label, ylabel=y_label)
 
 
-def _draw_cones(axes: Any, answer: Any, frame: Frame) -> None:
+def _draw_cones(axes: Axes, answer: Any, frame: Frame) -> None:
     """Draw the tangential impulse of each closed contact relative to the largest that its friction allows."""
     motion, angle = answer.motion, np.linspace(0.0, 2.0 * np.pi, 200)
     limit = answer.problem.friction * motion.normal
@@ -357,7 +360,7 @@ def _draw_cones(axes: Any, answer: Any, frame: Frame) -> None:
     axes.set(xlabel=unit, ylabel=second, title="Impulses in their cones")
 
 
-def _draw_residuals(axes: Any, result: BaseResult) -> None:
+def _draw_residuals(axes: Axes, result: BaseResult) -> None:
     """Draw how the residual of a recorded run fell with time."""
     samples = [sample for sample in result.history if sample.residual is not None]
     seconds = [sample.seconds for sample in samples]
@@ -373,7 +376,7 @@ def _draw_residuals(axes: Any, result: BaseResult) -> None:
 # --- A path ---------------------------------------------------------------------------------------------------
 
 
-def plot_path(path: ParametricPath, *, axes: Any = None) -> Any:
+def plot_path(path: ParametricPath, *, axes: Axes = None) -> Any:
     """Return matplotlib's axes with the 40 unknowns that change most over θ, its breakpoints as thin lines.
 
     Parameters

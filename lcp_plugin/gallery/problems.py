@@ -278,7 +278,7 @@ def paper_example_2(*, n: int = 100, delta: float = 4.0) -> Scene:
 
 
 def _five_point(
-    delta: float, exact: Vector, slack: Any = 0.0, legs: Any = (-1.0, -1.0), **facts: Any
+    delta: float, exact: Vector, slack: Coefficient = 0.0, legs: Legs = (-1.0, -1.0), **facts: Any
 ) -> Scene:
     """Return the test problem of a five-point matrix plus delta I whose solution and slack are chosen."""
     side = _side(exact.size)

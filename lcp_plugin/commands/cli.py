@@ -56,7 +56,9 @@ Target = Annotated[
         "(contacts with friction), an .nl, .qps, .mps, .lp, .mtx (M, with q.mtx next to it), or an .h5 of fclib."
     ),
 ]
-AlgorithmName = Annotated[str, typer.Option("--algorithm", "-a", help="A name of `list`, or auto.")]
+AlgorithmName = Annotated[
+    str, typer.Option("--algorithm", "-a", help="A name that `lcp-plugin list` shows, or auto.")
+]
 
 
 def command(name: str, exit_codes: str, *examples: str) -> Callable[[F], F]:
@@ -121,7 +123,10 @@ def main(
         raise typer.Exit(EXIT_BAD_INPUT)
 
 
-Tolerance = Annotated[float | None, typer.Option(help="Relative; 1e-8, or 1e-6 for a program.")]
+Tolerance = Annotated[
+    float | None,
+    typer.Option(help="Relative tolerance: 1e-8 by default; 1e-6 (gap) for a program."),
+]
 MaxSeconds = Annotated[float | None, typer.Option(help="Limit of wall-clock seconds.")]
 
 
@@ -137,15 +142,26 @@ MaxSeconds = Annotated[float | None, typer.Option(help="Limit of wall-clock seco
 def solve(
     target: Target,
     algorithm: AlgorithmName = "auto",
-    option: Annotated[list[str] | None, typer.Option("--option", "-o", help="name=value")] = None,
+    option: Annotated[
+        list[str] | None,
+        typer.Option("--option", "-o", help="An option of the algorithm: name=value."),
+    ] = None,
     tolerance: Tolerance = None,
-    absolute_tolerance: Annotated[float | None, typer.Option(help="In the unit of z.")] = None,
+    absolute_tolerance: Annotated[
+        float | None, typer.Option(help="A residual in the unit of z that is small enough.")
+    ] = None,
     max_iterations: Annotated[int | None, typer.Option(help="Limit of iterations.")] = None,
     max_seconds: MaxSeconds = None,
-    prove_infeasibility: Annotated[bool | None, typer.Option(help="Prove infeasibility.")] = None,
-    threads: Annotated[int | None, typer.Option(help="Threads; BLAS's: OMP_NUM_THREADS.")] = None,
+    prove_infeasibility: Annotated[
+        bool | None, typer.Option(help="Search for a proof that no solution exists.")
+    ] = None,
+    threads: Annotated[
+        int | None, typer.Option(help="Number of threads; BLAS's: OMP_NUM_THREADS.")
+    ] = None,
     plot: Annotated[Path | None, typer.Option(help="Save a picture (.png, .pdf, .svg).")] = None,
-    out: Annotated[Path | None, typer.Option(help="Save the vectors: an .npz file.")] = None,
+    out: Annotated[
+        Path | None, typer.Option(help="Save z and w, or x and its multipliers: an .npz file.")
+    ] = None,
     json: Annotated[bool, typer.Option("--json", help="Print the result as JSON.")] = False,
 ) -> bool:
     """Solve a problem of any class; print status, residuals and counts, and the first values."""
@@ -186,7 +202,9 @@ def compare(
             "--algorithm", "-a", help="A name that `lcp-plugin list` shows; again for another."
         ),
     ] = None,
-    reference: Annotated[list[str] | None, typer.Option(help="A convex solver of cvxpy.")] = None,
+    reference: Annotated[
+        list[str] | None, typer.Option(help="A convex solver of cvxpy; again for another.")
+    ] = None,
     repeats: Annotated[int, typer.Option(help="Runs per median of seconds.")] = 3,
     tolerance: Tolerance = None,
     max_seconds: MaxSeconds = None,

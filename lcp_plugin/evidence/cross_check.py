@@ -209,7 +209,10 @@ def cross_validate(
         return check("not comparable", f"our solution is not accurate, {status}: {residuals}")
     if not facts["disagreement"] <= facts["allowance"]:
         share = f"{facts['allowance']:.1e} of a disagreement of {facts['disagreement']:.1e}"
-        return check("mismatch", f"the residuals explain {share}: one is wrong, or the problem")
+        return check(
+            "mismatch",
+            f"the residuals explain {share}: one of them is wrong, or the two sides solved different problems",
+        )
     return check("agree", "the residuals and the conditioning of M explain every difference")
 
 

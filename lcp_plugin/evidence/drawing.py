@@ -199,7 +199,9 @@ def _frame(answer: Any, shape: Any) -> Frame:
     try:
         sizes = np.zeros(n).reshape(shape).shape
     except (TypeError, ValueError) as error:
-        raise InvalidOption(f"shape must be a grid of {n} unknowns, got {shape!r}") from error
+        raise InvalidOption(
+            f"shape must be the grid of the {n} unknowns, as (rows, columns), got {shape!r}"
+        ) from error
     more = (f"axis {k}" for k in range(len(sizes) - len(LABELS)))
     return Frame(grid=sizes, axis_labels=(*more, *LABELS[-len(sizes) :]), unknown=unknown)
 

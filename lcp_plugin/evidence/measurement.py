@@ -294,13 +294,17 @@ def methods_of(algorithms: Any) -> list[Method]:
         is_named = isinstance(algorithms, Mapping)
         named = [*algorithms.items()] if is_named else [(None, part) for part in [*algorithms]]
     except TypeError:  # a sparse array only looks like a sequence
-        raise InvalidOption(f"methods must be names or Algorithms, got {algorithms!r}") from None
+        raise InvalidOption(
+            f'methods must be names or Algorithm objects, got {algorithms!r}; write ["psor"]'
+        ) from None
     methods_by_label: dict[str, Method] = {}
     for label, algorithm in named:
         method = _method(label, algorithm)
         other = methods_by_label.setdefault(method.label, method)
         if other.algorithm != method.algorithm:
-            raise InvalidOption(f"two methods are called {method.label!r}; give them labels")
+            raise InvalidOption(
+                f'two methods are called {method.label!r}; give them labels, as in {{"mine": …, "theirs": …}}'
+            )
     return [*methods_by_label.values()]
 
 

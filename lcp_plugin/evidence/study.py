@@ -33,9 +33,13 @@ from .drawing import check_format, draw_curve, draw_tolerance, look_of, panels, 
 from .measurement import RESIDUAL, Measurement, Method
 
 PACKAGES = ("numpy", "scipy", "numba", "cvxpy")
-VALUES = {"iterations": "iterations", "work": "work [passes over M]"}
-VALUES |= {"seconds": "time [s], set-up included"}
-VALUES |= {"error": "error", "residual": "relative residual"}
+VALUES = {
+    "iterations": "iterations",
+    "work": "work [passes over M]",
+    "seconds": "time [s], set-up included",
+    "error": "error",
+    "residual": "relative residual",
+}
 ERROR_LABELS = {
     measurement.TRUE_ERROR: "true error ‖z\xa0−\xa0z*‖∞",
     measurement.BOUND: "proved bound of the error ‖z\xa0−\xa0z*‖∞",

@@ -437,7 +437,9 @@ def _built(source: Path, problem_class: type, arrays: Mapping[str, Any]) -> Any:
     for argument, choices in names.items():
         present = [name for name in choices if name in arrays]
         if len(present) > 1:
-            raise UnreadableFile(f"{source} holds {' and '.join(present)} for one thing; drop one")
+            raise UnreadableFile(
+                f"{source} holds {' and '.join(present)}, two names for one thing; leave one of them out"
+            )
         if present:
             array = arrays[present[0]]
             content[argument] = array.item() if argument in NUMBERS and array.size == 1 else array
@@ -548,7 +550,9 @@ def read_lp(source: Path, remarks: list[str]) -> Read:
     try:
         import highspy
     except ImportError as error:
-        raise UnreadableFile(f"reading {source} needs HiGHS: pip install highspy") from error
+        raise UnreadableFile(
+            f"{source} is read by HiGHS; install it with: pip install highspy"
+        ) from error
 
     class QuietHighs(highspy.Highs):
         """HiGHS without its banner, which the constructor prints when callbacks are switched on."""

@@ -131,7 +131,9 @@ def _side(argument: object, stated: Any) -> PairSide:
     ends = [lower, *upper] if upper else [lower, lower]
     for end in ends:
         if not (end is None or cannot_vary(end)):
-            raise UnsupportedModel(f"the bound {end} of {stated.name} varies; bound the difference")
+            raise UnsupportedModel(
+                f"the bound {end} of {stated.name} varies; state the difference: complements(body - bound >= 0, …)"
+            )
     low, high = infinite_if_absent(*ends)
     return PairSide(low, body, high)
 
@@ -634,7 +636,9 @@ def _refuse_match(
             )
     name = _name(family)
     if others := [_name(first if second is family else second) for first, second in matches]:
-        raise UnsupportedModel(f"{name} may belong to {listed(others)}; state which by pairs=…")
+        raise UnsupportedModel(
+            f"{name} may belong to {listed(others)}; state which: pairs={{model.constraint: model.variable}}"
+        )
     raise UnsupportedModel(
         f"{name} has no partner with the same indices (for an inequality, a variable with bounds); state its pairs"
     )
@@ -662,5 +666,6 @@ def _require_full_rank(constraints: list[Any], pairs: list[tuple[Any, Any]]) -> 
         partners = maximum_bipartite_matching(sp.csr_array(matrix), perm_type="column")
         for k in np.flatnonzero(partners < 0)[:1]:
             raise UnsupportedModel(
-                f"the model is structurally singular: {one.format(named[k].name)} would need the partner of another"
+                f"the model is structurally singular: {one.format(named[k].name)} would need the partner of another; "
+                "see whether a constraint is missing or redundant, or a pair is wrong"
             )

@@ -70,7 +70,9 @@ def optimal(program: Any, over: object, *, shared: Any = (), check: str = "conve
     ([2.0, 3.5, 1.5], True)
     """
     if not isinstance(program, cp.Problem):
-        raise UnsupportedModel(f"optimal needs a cvxpy problem, got {type(program).__name__}")
+        raise UnsupportedModel(
+            f"optimal needs the agent's program, got {type(program).__name__}; write cp.Problem(cp.Maximize(…), […])"
+        )
     if check not in ("convex", "local"):
         raise InvalidOption(f'check must be "convex" or "local", got {check!r}')
     return _agent(program, over, shared, check)
@@ -155,7 +157,9 @@ def check_different(entries: Iterable[tuple[Any, Indices]]) -> None:
     listed = Counter((v.id, v.name(), k) for v, columns in entries for k in columns.tolist())
     for (_, name, _), count in listed.items():
         if count > 1:
-            raise UnsupportedModel(f"over=[…] lists {name} twice; list each in one over=[…]")
+            raise UnsupportedModel(
+                f"over=[…] lists {name} twice; list each variable, or entry of one, once, in over=[…] of one agent"
+            )
 
 
 class Optimal(Condition):
@@ -311,7 +315,9 @@ def _check_program(agent: Optimal, rules: Convexity) -> None:
         kind = "affine" if row.is_equation else "convex"
         fault = f"{name_of(row.expression)} in {agent!r} is not known to be {kind} in its decisions"
         if has_kinks:
-            raise UnsupportedModel(f"{fault}, and it is not smooth; use cvxpy's rules of convexity")
+            raise UnsupportedModel(
+                f"{fault}, and the program has terms that are not smooth; write it by cvxpy's rules of convexity"
+            )
         warn(
             f"{fault}, so that its optimality conditions are only necessary; check gap() after the solve, and write "
             'check="local" to accept them'

@@ -165,7 +165,8 @@ def _expression(stated: object, what: str) -> Any:
     """Return the argument as a cvxpy expression."""
     if not isinstance(stated, cp.Expression) and _dtype_letter(stated) == "b":
         raise UnsupportedModel(
-            f"{what} holds Booleans, {stated}: numbers were compared; write the numbers, or cp.Constant(numbers) >= 0"
+            f"{what} holds Booleans, {stated}: numbers were compared before this package saw them; write the "
+            "numbers, or cp.Constant(numbers) >= 0"
         )
     expression = None
     if stated is not None:

@@ -162,7 +162,8 @@ def over_cones(model: SquareModel, pairs: Sequence[ConePair], name: Any) -> Squa
         names = [name(column) for column in kept[others][:5].tolist()]
         raise UnsupportedModel(
             "a model with friction_cone has impulses as its only unknowns, and this one has also "
-            f"{', '.join(names or ['cones of another kind'])}; write the velocities as u = W @ r + b, or by definitions"
+            f"{', '.join(names or ['cones of another kind'])}; write the "
+            "velocities as u = W @ r + b, or as a chain of definitions"
         )
     box = [("box", problem_rows.lower[others], problem_rows.upper[others])] if others.size else []
     problem = cone_problem(problem_rows.csr[order][:, order], problem_rows.q[order], pairs, box)
@@ -442,7 +443,7 @@ class Model:
         problem = self.problem
         if not isinstance(problem, LCP):
             raise UnsupportedModel(
-                f'{purpose} takes affine sides without cones; problem.solve(method="LCP") takes all'
+                f'{purpose} takes affine sides without cones; problem.solve(method="LCP") takes others also'
             )
         for column in self.square.dropped[:1].tolist():
             entry = self.statement.name_of(column)

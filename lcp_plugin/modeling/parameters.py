@@ -89,7 +89,9 @@ class ParametricRows:
     @staticmethod
     def _finite(values: Any) -> Any:
         if not np.isfinite(values).all():
-            raise UnsupportedModel("no finite derivative at the parameters; move them off an edge")
+            raise UnsupportedModel(
+                "the model has no finite derivative at the present parameters; move them away from the edge of a domain"
+            )
         return values
 
 
@@ -315,7 +317,9 @@ def derivative_of(problem: cp.Problem) -> ModelDerivative:
     parameters = differentiable_parameters(problem)
     result = getattr(problem.solver_stats, "extra_stats", None)
     if not isinstance(result, Result):
-        raise UnsupportedModel('derivative needs a solve by method="LCP" of cp.Minimize(0)')
+        raise UnsupportedModel(
+            'derivative needs a solution of complementarities: solve with method="LCP" and cp.Minimize(0) first'
+        )
     if not result.is_solved:
         raise UnsuitableProblem(
             f"only a solution has a derivative, and this run ended {result.status.name}: {result.advice}"
@@ -407,7 +411,9 @@ class ModelPath(Path):
         named = {v.name(): v for v in known}
         variable = named.get(variable, variable) if isinstance(variable, str) else variable
         if all(variable is not v for v in known):
-            raise UnsupportedModel(f"{variable!r} is not a variable; give one of {listed(named)}")
+            raise UnsupportedModel(
+                f"{variable!r} is not a variable of the problem; give one of {listed(named)}"
+            )
         points = [self._values(value) for value in np.ravel(np.asarray(theta, float)).tolist()]
         shape = (*np.shape(theta), *variable.shape)
         return np.reshape([values[variable.id] for values in points], shape)
@@ -505,7 +511,9 @@ def _line(problems: list[Any], values: tuple[float, ...]) -> tuple[Any, dict[str
         if any(matrix.shape != one.shape or abs(matrix - one).sum() != 0.0 for one in others):
             remedy = "where it multiplies the quadratic term, divide the objective by it"
             remedy = remedy if name == "P" else "let it multiply no variable of a constraint"
-            raise UnsupportedModel(f"the parameter enters the matrix {name}: not affine; {remedy}")
+            raise UnsupportedModel(
+                f"the parameter enters the matrix {name}, so that the path is not piecewise affine; {remedy}"
+            )
     begin, end, between = values
     base, directions = {}, {}
     for name in first.vector_names:

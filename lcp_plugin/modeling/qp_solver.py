@@ -187,7 +187,9 @@ class Entries(NamedTuple):
                     reduced = Solution(settings.OPTIMAL, 0.0, counted, {}, {})
                     numbers = reduction.invert(reduced, known).primal_vars[variable.id]
         if leaf.id not in columns and variable.size:
-            raise UnsupportedModel(f"cvxpy's program lost {variable.name()}; use plain variables")
+            raise UnsupportedModel(
+                f"{variable.name()} is not found again in the program that cvxpy made; use plain variables"
+            )
         flat = np.rint(compat.by_columns(np.broadcast_to(numbers, variable.shape)))
         places = np.maximum(np.abs(flat).astype(np.int64) - 1, 0) + columns.get(leaf.id, 0)
         return cls(places, np.sign(flat), variable.shape)
@@ -309,14 +311,18 @@ def _check(problem: cp.Problem) -> None:
     if not isinstance(problem, cp.Problem):
         raise InvalidProblem(f"certify needs a cvxpy.Problem, got {type(problem).__name__}")
     if not problem.is_dcp():
-        raise UnsupportedModel("certify needs cvxpy's rules of convexity, problem.is_dcp()")
+        raise UnsupportedModel(
+            "certify takes problems that follow cvxpy's rules of convexity; problem.is_dcp() must be True"
+        )
     if not problem.variables():
         raise UnsupportedModel("the problem has no variables, so there is no solution to certify")
     if reasons := compat.why_not(problem):
-        raise UnsupportedModel(f"certify takes convex quadratic programs: {'; '.join(reasons)}")
+        raise UnsupportedModel(
+            f"certify takes problems that cvxpy compiles to convex quadratic programs: {'; '.join(reasons)}"
+        )
     if problem.status in (None, settings.SOLVER_ERROR, settings.INFEASIBLE_OR_UNBOUNDED):
         raise InvalidProblem(
-            f"the status is {problem.status}, without a point; call problem.solve()"
+            f"the status is {problem.status}, without a point; call problem.solve() with another solver"
         )
     if problem.status in CLAIMED:
         return

@@ -389,7 +389,8 @@ class Reader:
         hidden = hidden_parameters(node) if rule is None else []
         if hidden and self._has_sources:
             raise UnsupportedModel(
-                f"{name_of(node)} holds {hidden[0].name()} where no derivative reaches it; write products, sums, exp"
+                f"{name_of(node)} holds {hidden[0].name()} where no derivative reaches it; write it with "
+                "products, sums, exp and log"
             )
         if isinstance(node, cp.Parameter) or hidden or not self._moving.isdisjoint(below):
             self._moving.add(key)

@@ -83,7 +83,9 @@ _memos: weakref.WeakKeyDictionary[Any, Memo] = weakref.WeakKeyDictionary()
 def build_from(problem: cp.Problem) -> Model:
     """Return the model of a cvxpy problem; parts that depend on no parameter are cached for the next call."""
     if not isinstance(problem, cp.Problem):
-        raise UnsupportedModel(f"a cvxpy problem is needed, got {type(problem).__name__}")
+        raise UnsupportedModel(
+            f"a cvxpy problem is needed, got {type(problem).__name__}; write cp.Problem(cp.Minimize(0), […])"
+        )
     if not problem.objective.args[0].is_constant():
         raise UnsupportedModel(
             f"the objective {name_of(problem.objective.args[0])} with complementarity is not a single LCP: "

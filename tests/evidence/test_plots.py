@@ -86,11 +86,11 @@ def test_a_grid_shows_a_map():
     assert result.plot(shape=(144,)).get_xlabel() == "index"
     assert result.plot(shape=(1, 144)).get_xlabel() == "index"
     for shape, words in (
-        ((12, 13), r"grid of 144 unknowns, got \(12, 13\)"),
-        ((0, 12), "grid of 144"),
-        ((1.5, 96), "grid of 144"),
-        ((), "grid of 144"),
-        ("12x12", "grid of 144"),
+        ((12, 13), r"grid of the 144 unknowns, as .rows, columns., got \(12, 13\)"),
+        ((0, 12), "grid of the 144"),
+        ((1.5, 96), "grid of the 144"),
+        ((), "grid of the 144"),
+        ("12x12", "grid of the 144"),
     ):
         with pytest.raises(InvalidOption, match=words):
             result.plot(shape=shape)

@@ -485,7 +485,7 @@ solved([agent((x - y) ** 2, over=[x])]) → list them in over=
 agent(x**2, over=[y]) → not a variable of the program
 agent(x**2, over=[2 * x]) → needs variables or entries of them
 agent(x**2, over=[]) → over must be
-optimal(x**2, over=[x]) → cvxpy problem
+optimal(x**2, over=[x]) → write cp.Problem
 solved([agent(x, cp.SOC(y, cp.hstack([x, 1])), over=[x])]) → second-order cone as cp.sum_squares
 solved([agent(x, agent(x * y, over=[y]), over=[x])]) → .EPEC. are not supported; keep one leader
 agent(x, over=None) → list of variables

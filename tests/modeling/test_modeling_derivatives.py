@@ -400,7 +400,7 @@ def test_what_has_no_solution_has_no_derivative():
     """Before a solve, after another solver's, of an infeasible model and of a program: refused with a way out."""
     q, x = cp.Parameter(value=1.0), cp.Variable()
     model = cp.Problem(cp.Minimize(0), [complements(x >= 0, -x - q >= 0)])
-    with pytest.raises(UnsupportedModel, match=r"derivative needs a solve"):
+    with pytest.raises(UnsupportedModel, match=r"derivative needs a solution"):
         derivative(model)
     model.solve(method="LCP")
     assert model.status == "infeasible"

@@ -231,7 +231,9 @@ class _ExpressionReader:
         """Return a function of sums."""
         below = max(argument.level for argument in arguments)
         if below >= MOST_NESTED:
-            raise UnsupportedModel(f"{self._name} nests {below + 1} functions; give one a variable")
+            raise UnsupportedModel(
+                f"{self._name} nests {below + 1} functions in one another; give an inner one a variable and an equation"
+            )
         self.functions.append(function)
         self.arguments.append(arguments)
         self.levels.append(below + 1)

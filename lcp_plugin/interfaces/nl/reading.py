@@ -566,7 +566,9 @@ class _Reader:
             what = f"which bounds are finite (0 to 3), and a variable from 1 to {n}"
             source.fail(f"the bounds of rows have the code 5, followed by {what}")
         if variable in earlier:
-            source.fail(f"variable {variable} has an earlier row also; one is possible")
+            source.fail(
+                f"variable {variable} is complementary to an earlier row also; one is possible"
+            )
         earlier.add(variable)
 
     # --- Consistency of all segments ---

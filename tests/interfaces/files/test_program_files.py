@@ -108,7 +108,7 @@ def test_kinds_are_told_by_what_is_in_a_file(tmp_path):
 
 REFUSED: list[tuple[dict[str, Any], type[LCPError], str]] = [
     (dict(P=P), UnreadableFile, r"lacks the keys \['c'\]; a program holds P, q, A, l, u"),
-    (dict(P=P, q=c, c=c), UnreadableFile, "holds c and q for one thing"),
+    (dict(P=P, q=c, c=c), UnreadableFile, "holds c and q, two names for one thing"),
     (dict(P=P, q=c, l=b, u=b), UnreadableFile, "l, u limit A x, and A is missing"),
     (
         dict(P=P, q=[np.nan, 1.0]),

@@ -298,7 +298,7 @@ REFUSED: dict[str, tuple[Callable[[Any], None], str]] = {
     ),
     "a bound that varies": (
         made(lambda m: (pe.inequality(0, m.x, m.y), m.x)),
-        "the bound y of c varies; bound the difference",
+        "the bound y of c varies; state the difference",
     ),
     "strict": (
         made(lambda m: (m.x > 0, m.x >= 2)),

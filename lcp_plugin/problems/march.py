@@ -443,7 +443,7 @@ def march(
         One row per step; use ``np.broadcast_to(row, (k, n))`` for constant forcing.
     propagator : number or array or sparse array, shape (n, n), or a list of m of these
         Map from the z of one step to its contribution to the next q; a number means a multiple of the identity. An
-        implicit Euler step (I + Δt A) z = z_before has −1.
+        implicit Euler step (I + Δt A) z = z_before has −1. A FrictionalContact needs an array, see the notes.
     lower, upper : number or array, shape (n,) or (m, n), optional
         Replace the bounds in all steps. If k marches of k steps are meant, give forcing the shape (k, k, n).
     lower_at, upper_at : array, shape (k, n), optional
@@ -495,8 +495,8 @@ def march(
 
     Contacts with friction on elastic bodies: W has displacements by forces. A slow load determines, step by step, the
     gaps without contact and the tangential displacements from the step before. Use the propagator −W with zeros in the
-    rows of the normals, because the slip is the tangential displacement of a step. If contacts change, W changes: use
-    ``solve(FrictionalContact(W, b, friction), z0=result.z)`` for each step instead of `march`.
+    rows of the normals, because the slip is the tangential displacement of a step. For moving bodies, or if W changes,
+    call ``step.solve(b=b, W=W, warm=True)`` of ``step = prepare(problem)`` for each step instead of `march`.
 
     References
     ----------
@@ -608,6 +608,11 @@ def _begin(
     forcings = checked_rows("forcing", forcing, need, lambda of: len(of) in axes and of[-1] == n)
     each = propagator if _is_one_a_march(propagator) else [propagator]
     rows = [forcings] if forcings.ndim == 2 else [*forcings]
+    if class_of(problems[0]) == "FrictionalContact" and any(checks.is_number(C) and C for C in each):
+        raise InvalidOption(
+            f"march of a FrictionalContact needs an array as propagator, see help(march), got {propagator}; for "
+            "moving bodies call step.solve(b=…) of step = prepare(problem) in a loop"
+        )
     propagators = [checked_propagator(C, n) for C in each]
     several = {"problem": problems, "forcing": rows, "propagator": propagators}
     for name, values in arrays.items():

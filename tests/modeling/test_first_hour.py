@@ -23,6 +23,7 @@ from lcp_plugin import (
     complements,
     derivative,
     gallery,
+    march,
     optimal,
     prepare,
     solve,
@@ -129,6 +130,10 @@ MESSAGES: dict[str, tuple[Any, str]] = {
     "data by position": (
         lambda: prepare(LCP([[1.0]], [1.0])).solve([1.0]),
         r"step.solve: too many positional arguments; write step.solve\(warm=…, name=…\)",
+    ),
+    "a march of bodies": (
+        lambda: march(FrictionalContact(np.eye(3), [-1.0, 1.0, 0.0], 0.4), [[-1.0, 1.0, 0.0]]),
+        r"needs an array as propagator.* call step.solve\(b=…\) .* in a loop",
     ),
     "four rows a contact": (
         lambda: FrictionalContact(np.eye(4), np.ones(4), [0.5], dimension=4),

@@ -156,7 +156,8 @@ def whole_number(value: object, name: str, least: int, otherwise: str = "") -> i
     return min(int(value), MOST)
 
 
-def _flag(value: object, name: str) -> bool:
+def flag(value: object, name: str) -> bool:
+    """Return a bool; raise InvalidOption for anything else."""
     if not isinstance(value, (bool, np.bool_)):
         raise InvalidOption(f"{name} must be True or False, got {value!r}")
     return bool(value)
@@ -179,11 +180,11 @@ CHECKS: dict[str, Callable[[Any, str], Any]] = {
     "max_iterations": partial(whole_number, least=0),
     "max_seconds": _finite_number,
     "absolute_tolerance": _finite_number,
-    "record": _flag,
+    "record": flag,
     "threads": checked_threads,
-    "verbose": _flag,
-    "prove_infeasibility": _flag,
-    "polish": _flag,
+    "verbose": flag,
+    "prove_infeasibility": flag,
+    "polish": flag,
 }
 NONE_MEANS = {"max_iterations": 100_000, "max_seconds": math.inf}
 DEFAULT = Settings()  # of a call without options

@@ -608,7 +608,8 @@ def _begin(
     forcings = checked_rows("forcing", forcing, need, lambda of: len(of) in axes and of[-1] == n)
     each = propagator if _is_one_a_march(propagator) else [propagator]
     rows = [forcings] if forcings.ndim == 2 else [*forcings]
-    if class_of(problems[0]) == "FrictionalContact" and any(checks.is_number(C) and C for C in each):
+    is_contact = class_of(problems[0]) == "FrictionalContact"
+    if is_contact and any(checks.is_number(C) and C for C in each):
         raise InvalidOption(
             f"march of a FrictionalContact needs an array as propagator, see help(march), got {propagator}; for "
             "moving bodies call step.solve(b=…) of step = prepare(problem) in a loop"

@@ -23,14 +23,14 @@ from ..core.checks import (
     read_only,
 )
 from ..core.entries import clip, unbounded
-from ..core.errors import InvalidOption, did_you_mean, public
+from ..core.errors import InvalidOption, did_you_mean
 from ..core.lcp import LCP
 from ..core.problem_classes import class_of
-from ..core.settings import DEFAULTS, Settings, Status
+from ..core.settings import DEFAULTS, Status, flag
 from ..engines.engine import EngineStatus
 from ..engines.solvers import DAQP, ends_of_rows
 from ..judges.lcp import Measured
-from ..judges.program import PROGRAM_TOLERANCE, JudgedProgram, sharp_errors
+from ..judges.program import JudgedProgram, sharp_errors
 from ..methods.lemke import Lemke
 from ..methods.small import LOOP_UP_TO, arrays_of_one, follow_one, has_numba, is_small, tilts
 from ..solving.dispatch import parse_call, solver_with
@@ -38,7 +38,7 @@ from ..solving.result import NOTHING_TO_DO, Result, StageRecord
 from .programs.program import QuadraticProgram, refuse_nonconvex
 from .programs.result import QuadraticProgramResult
 from .programs.solution import QPSolution
-from .programs.solving import CERTAIN_ROWS, FAR, checked_start_of_program, infeasible_result
+from .programs.solving import CERTAIN_ROWS, FAR, checked_start_of_program, infeasible_result, parsed
 
 P = TypeVar("P")
 
@@ -59,8 +59,7 @@ class PreparedProblem(Generic[P]):
         stated: Any = problem
         self._known = [stated.start_name, *stated.vector_names, *stated.matrix_names]
 
-    @partial(public, name="step.solve")
-    def solve(self, *, warm: bool = False, **data: Any) -> Any:
+    def solve(self, *values: Any, warm: bool = False, **data: Any) -> Any:
         """Return the result of the problem with these data; data that are not passed are the prepared problem's.
 
         Parameters
@@ -75,14 +74,16 @@ class PreparedProblem(Generic[P]):
         InvalidProblem, InvalidOption
             As the constructor of the problem and :func:`lcp_plugin.solve`.
         """
+        if values:
+            raise InvalidOption(f"data have names: write step.solve({self._known[1]}=…)")
         if unknown := data.keys() - set(self._known):
-            name, known = min(unknown), self._known
+            name, known = min(unknown), [*self._known, "warm"]
             hint = "; the linear term is called c" if name == "q" and "c" in known else ""
             hint = hint or f"{did_you_mean(name, known)}; options of a run belong to prepare"
             raise InvalidOption(f"step.solve takes no {name}{hint}")
         problem: Any = self.problem
         start = data.pop(problem.start_name, None)
-        if start is None and warm and not getattr(self.last, "has_no_solution", True):
+        if flag(warm, "warm") and start is None and not getattr(self.last, "has_no_solution", True):
             start = self.last.x
         result = self._solve_quickly(start, **data)
         if result is None:
@@ -172,19 +173,13 @@ class PreparedProgram(PreparedProblem[QuadraticProgram]):
     def __init__(self, problem: QuadraticProgram, algorithm: Any, options: dict[str, Any]) -> None:
         super().__init__(problem, algorithm, options)
         refuse_nonconvex(problem)
-        limits = {name: value for name, value in options.items() if name in DEFAULTS}
-        settings = self._settings = Settings(**{"tolerance": PROGRAM_TOLERANCE, **limits})
+        settings = self._settings = parsed(algorithm, **options)[2]
         self._arrays: Any = None
-        base, is_watched = (
-            problem.matrices,
-            settings.is_watched or options.get("callback") is not None,
-        )
-        has_time = (
-            settings.max_iterations >= DAQP.defaults["iter_limit"] and settings.max_seconds > 0.0
-        )
-        is_known = options.keys() <= DEFAULTS.keys()  # `solve` rejects other options
-        is_suited = algorithm in ("auto", "daqp") and has_time and is_known and not is_watched
-        if is_suited and base.of_daqp and (base.counts > 1).all() and base.terms.is_dense:
+        base, least = problem.matrices, DAQP.defaults["iter_limit"]
+        has_time = settings.max_iterations >= least and settings.max_seconds > 0.0
+        is_bare = options.keys() <= DEFAULTS.keys() and algorithm in ("auto", "daqp")
+        is_dense = (base.counts > 1).all() and base.terms.is_dense
+        if has_time and is_bare and is_dense and base.of_daqp and not settings.is_watched:
             vectors = {name: getattr(problem, name) for name in problem.vector_names}
             self._arrays = base.of_daqp, vectors
 

@@ -129,7 +129,23 @@ MESSAGES: dict[str, tuple[Any, str]] = {
     ),
     "data by position": (
         lambda: prepare(LCP([[1.0]], [1.0])).solve([1.0]),
-        r"step.solve: too many positional arguments; write step.solve\(warm=…, name=…\)",
+        r"data have names: write step.solve\(q=…\)",
+    ),
+    "velocities by position": (
+        lambda: prepare(FrictionalContact(np.eye(3), [-1.0, 0.0, 0.0], 0.5)).solve([1.0]),
+        r"write step.solve\(b=…\)",
+    ),
+    "a start as warm": (
+        lambda: prepare(LCP([[1.0]], [1.0])).solve(warm=np.zeros(2)),
+        "warm must be True or False",
+    ),
+    "a word of cvxpy": (
+        lambda: prepare(LCP([[1.0]], [1.0])).solve(warm_start=True),
+        "known: .*, warm",
+    ),
+    "an option that a program does not have": (
+        lambda: prepare(QuadraticProgram(np.eye(2), [1, 1]), max_second=1),
+        "did you mean 'max_seconds'",
     ),
     "a march of bodies": (
         lambda: march(FrictionalContact(np.eye(3), [-1.0, 1.0, 0.0], 0.4), [[-1.0, 1.0, 0.0]]),

@@ -91,23 +91,10 @@ def solve_program(
         Same conditions as for `solve`.
     """
     clock = Clock()
-    solve_options = {name: options.pop(name) for name in OF_SOLVE if name in options}
-    for name in ("absolute_tolerance", "polish"):
-        if name in solve_options and solve_options.pop(name) not in (None, DEFAULTS[name]):
-            raise InvalidOption(
-                f"solve takes no {name} for a QuadraticProgram; leave it out, or pass it with LCP.from_qp(P, c, …)"
-            )
-    solve_options = {name: value for name, value in solve_options.items() if value is not None}
+    call = parsed(algorithm, tolerance=tolerance, **options)
+    algorithm, engine, settings, options, solve_options = call
     callback, start = solve_options.pop("callback", None), solve_options.pop("z0", None)
     start = None if start is None else checked_start_of_program(program, start)
-    is_point = isinstance(algorithm, InteriorPoint)
-    if is_point or (isinstance(algorithm, str) and algorithm == InteriorPoint.name):
-        algorithm = "piqp"
-    engine = _engine(algorithm, options)
-    settings = parse_call(
-        "auto" if engine else algorithm,
-        {**({} if engine else options), "tolerance": tolerance, **solve_options},
-    )[1]
     name = algorithm if isinstance(algorithm, str) else algorithm.name
     is_limited = not settings.max_iterations or settings.max_seconds <= 0.0
     end = None
@@ -133,6 +120,25 @@ def solve_program(
             raise
         return run.result(Status.NO_SOLUTION)
     return run.solve(run.with_proof(plan))
+
+
+def parsed(
+    algorithm: Any, *, tolerance: float = PROGRAM_TOLERANCE, **options: Any
+) -> tuple[Any, Engine | None, Settings, dict[str, Any], dict[str, Any]]:
+    """Return the algorithm, its engine, the settings, options of the algorithm and of `solve`."""
+    of_solve = {name: options[name] for name in OF_SOLVE if options.get(name) is not None}
+    options = {name: value for name, value in options.items() if name not in OF_SOLVE}
+    for name in ("absolute_tolerance", "polish"):
+        if of_solve.pop(name, DEFAULTS[name]) != DEFAULTS[name]:
+            raise InvalidOption(
+                f"solve takes no {name} for a QuadraticProgram; leave it out, or pass it with LCP.from_qp(P, c, …)"
+            )
+    if isinstance(algorithm, InteriorPoint) or algorithm == InteriorPoint.name:
+        algorithm = "piqp"
+    engine = _engine(algorithm, options)
+    call = {**({} if engine else options), "tolerance": tolerance, **of_solve}
+    settings = parse_call("auto" if engine else algorithm, call)[1]
+    return algorithm, engine, settings, options, of_solve
 
 
 def checked_start_of_program(program: QuadraticProgram, z0: Any) -> Vector:

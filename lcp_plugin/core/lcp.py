@@ -15,7 +15,7 @@ from .entries import clip
 from .errors import public
 from .matrix import Matrix
 from .names import Names, checked_names, describe_lcp, shared_labels
-from .problem import Problem
+from .problem import Problem, check_labels
 from .problem_classes import Door
 
 DATA = "matrix", "n", "q", "lower", "upper", "names", "origin"
@@ -190,6 +190,7 @@ class LCP(Problem):
         InvalidProblem
             As the constructor.
         """
+        check_labels(self, {"q": q, "lower": lower, "upper": upper})
         if lower is not None or upper is not None:
             bounds = self.lower if lower is None else lower, self.upper if upper is None else upper
             return LCP(self.matrix, q, lower=bounds[0], upper=bounds[1], names=self.names)

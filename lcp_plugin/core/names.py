@@ -148,20 +148,24 @@ def _first_repeated(names: Sequence[str]) -> str | None:
     return next((name for name, count in Counter(names).items() if count > 1), None)
 
 
-def shared_labels(axes: Iterable[str], data: Mapping[str, Any]) -> dict[str, list[str]]:
+def shared_labels(
+    axes: Iterable[str], data: Mapping[str, Any], known: Mapping[str, Naming] | None = None
+) -> dict[str, list[str]]:
     """Return the labels of pandas objects by axis, the first ones that are not numbers, as text.
 
     `axes` has a letter for each axis of an argument in `data`, as ``["M zz", "q z"]``. InvalidProblem is raised if axes
-    with one letter have the same labels in another order.
+    with one letter have the same labels in another order, or the `known` names of a problem, by letter.
     """
-    found: dict[str, dict[str, Any]] = {}
     names: dict[str, list[str]] = {}
-    for name, letters in map(str.split, axes if "pandas" in sys.modules else ()):
-        indices = data[name].axes if hasattr(data[name], "iloc") else ()
+    if "pandas" not in sys.modules or not any(hasattr(one, "iloc") for one in data.values()):
+        return names
+    found = {k: [("the problem", of)] for k, of in (known or {}).items() if isinstance(of, list)}
+    for name, letters in map(str.split, axes):
+        indices = data[name].axes if hasattr(data.get(name), "iloc") else ()
         for letter, index in zip(letters, indices, strict=False):
-            for first, known in found.setdefault(letter, {}).items():
-                same = index.equals(known)
-                was, now = ([] if same else [*map(str, part)] for part in (known, index))
+            for first, others in found.setdefault(letter, []):
+                same = index is others or len(index) != len(others)
+                was, now = ([] if same else [*map(str, part)] for part in (others, index))
                 if was != now and sorted(was) == sorted(now):
                     k = next(k for k, label in enumerate(was) if label != now[k])
                     raise InvalidProblem(
@@ -169,7 +173,7 @@ def shared_labels(axes: Iterable[str], data: Mapping[str, Any]) -> dict[str, lis
                         f"but label {k} is {was[k]!r} and {now[k]!r}; write {name}.reindex(…), or "
                         f"{name}.to_numpy() if its order is right"
                     )
-            found[letter].setdefault(name, index)
+            found[letter].append((name, index))
             if index.dtype.kind not in "iuf" and index.is_unique:
                 names.setdefault(letter, [*map(str, index)])
     return names

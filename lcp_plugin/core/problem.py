@@ -4,6 +4,8 @@ from __future__ import annotations
 
 from typing import Any, ClassVar
 
+from .names import shared_labels
+
 
 class Problem:
     """Base of the problem classes. All functions that take the data by name read the names here.
@@ -37,3 +39,15 @@ class Problem:
         """Return the problem with other vectors by name, the present ones by default; it shares all facts about M."""
         q = vectors.pop("q", None)
         return self.with_q(self.q if q is None else q, **vectors)  # type: ignore[attr-defined]
+
+
+def check_labels(problem: Any, data: dict[str, Any]) -> None:
+    """Raise InvalidProblem if labels of pandas in `data` are names of a problem in another order."""
+    if isinstance(problem, Problem):
+        rows, unknowns = getattr(problem, "names", None) or (None, None)
+        known = {"w": rows or unknowns, "z": unknowns, "x": unknowns}
+        if isinstance(rows, list):
+            m = len(getattr(problem, "h", ()))
+            known |= {"g": rows[:m], "a": rows[m:]}
+        others = "x z", "x0 z", "z0 z", "q kw", "q kx"  # points, and rows of a batch
+        shared_labels((*problem.axes, *others), data, known)

@@ -25,6 +25,7 @@ from ..core.checks import (
 from ..core.entries import clip, unbounded
 from ..core.errors import InvalidOption, did_you_mean
 from ..core.lcp import LCP
+from ..core.problem import check_labels
 from ..core.problem_classes import class_of
 from ..core.settings import DEFAULTS, Status, flag
 from ..engines.engine import EngineStatus
@@ -82,6 +83,7 @@ class PreparedProblem(Generic[P]):
             hint = hint or f"{did_you_mean(name, known)}; options of a run belong to prepare"
             raise InvalidOption(f"step.solve takes no {name}{hint}")
         problem: Any = self.problem
+        check_labels(problem, data)
         start = data.pop(problem.start_name, None)
         if flag(warm, "warm") and start is None and not getattr(self.last, "has_no_solution", True):
             start = self.last.x

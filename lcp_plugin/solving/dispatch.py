@@ -13,6 +13,7 @@ import numpy as np
 from ..algorithms import create, refusal_of_engine
 from ..core.algorithm import Algorithm
 from ..core.errors import InvalidOption, UnknownAlgorithm, did_you_mean
+from ..core.problem import check_labels
 from ..core.problem_classes import CLASSES, class_of, classes_of, refusal, with_article
 from ..core.settings import BESIDE, DEFAULT, OF_SOLVE, Settings
 from ..engines.engine import Engine
@@ -36,6 +37,7 @@ def solver_with(
         options["algorithm"] = algorithm
     if callable(callback := options.get("callback")):  # it keeps the caller's floating-point state
         options["callback"] = np.errstate(**np.geterr())(callback)
+    check_labels(problem, options)
     known = options_of(name)
     if "z0" in options and "z0" not in known and "x0" in known:  # the unknown is called x
         options["x0"] = options.pop("z0")

@@ -10,9 +10,12 @@ from lcp_plugin import (
     InvalidProblem,
     NonlinearProblem,
     QuadraticProgram,
+    certify,
     complements,
     load_problem,
+    prepare,
     solve,
+    solve_batch,
     trace,
 )
 
@@ -200,6 +203,8 @@ def test_labels_of_pandas_are_names_and_must_be_in_one_order():
     assert QuadraticProgram(M, q, rows, [1.0]).names == (["cap"], labels)
     assert LCP(M, q.reset_index(drop=True), names=["c", "d"]).names.row(0) == "c"
     assert LCP(M.to_numpy(), pandas.Series([1.0, 2.0])).names == (None, None)
+    problem, program = LCP(M, q), QuadraticProgram(M, q, M, q + 9)
+    assert prepare(problem).solve(q=q[turned][labels]).named == {"a": 2.5, "b": 0.0}
     for wrong in (
         lambda: LCP(M, q[turned]),
         lambda: LCP(M[turned], q),
@@ -207,6 +212,16 @@ def test_labels_of_pandas_are_names_and_must_be_in_one_order():
         lambda: LCP(pandas.DataFrame(M.to_numpy()), pandas.Series([1.0, 2.0], [1, 0])),
         lambda: QuadraticProgram(M, q, rows[turned], [1.0]),
         lambda: BoundedLeastSquares(M, [1.0, 2.0], lower=q[turned]),
+        lambda: LCP(M.reset_index(drop=True), q[turned]),
+        lambda: problem.with_q(q[turned]),
+        lambda: prepare(problem).solve(q=q[turned]),
+        lambda: prepare(problem).solve(M=M.loc[turned]),
+        lambda: solve(problem, z0=q[turned]),
+        lambda: certify(problem, q[turned]),
+        lambda: solve_batch(problem, M[turned]),
+        lambda: prepare(program).solve(c=q[turned]),
+        lambda: prepare(program).solve(h=pandas.Series([1.0, 2.0], turned)),
+        lambda: solve_batch(program, M[turned]),
     ):
         with pytest.raises(InvalidProblem, match=r"in one order, but label 0 is '[a0]' and '[b1]'"):
             wrong()

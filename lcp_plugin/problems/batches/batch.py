@@ -13,6 +13,7 @@ from ...core.algorithm import Algorithm
 from ...core.checks import AnyMatrix, Array
 from ...core.errors import InvalidOption, InvalidProblem, did_you_mean
 from ...core.lcp import LCP
+from ...core.problem import check_labels
 from ...core.problem_classes import CLASSES, class_of, refusal
 from ...core.settings import DEFAULTS, BatchOptions, Settings
 from ...engines import ENGINES
@@ -116,6 +117,7 @@ def solve_batch(
     """
     if isinstance(M, PreparedProblem):
         M = M.problem
+    check_labels(M, {"q": q})
     overrides = checked_overrides(options)  # before the data
     pairs = (lower, -np.inf), (upper, np.inf)
     lower, upper = (None if x is ... else none if x is None else x for x, none in pairs)

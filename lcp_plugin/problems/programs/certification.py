@@ -23,6 +23,7 @@ from ...core.deadline import is_over, seconds_left, time_limit
 from ...core.entries import largest_products
 from ...core.errors import InvalidOption, InvalidProblem, LCPError, did_you_mean
 from ...core.kernels.floats import LARGEST, OUTWARD
+from ...core.problem import check_labels
 from ...core.problem_classes import CLASSES, class_of, foreign_function, refusal
 from ...core.settings import checked_tolerance, whole_number
 from ...judges.lcp import NEAREST
@@ -149,6 +150,7 @@ def certify(
         problem.halo.together(lambda: _check_point(problem, *claimed))
         return _solved(*problem.measured(getattr(x, "x", x), float(tolerance)))
     _check_options(tolerance, max_seconds)
+    check_labels(problem, {"x": x})
     tolerance = float(tolerance)
     with time_limit(math.inf if max_seconds is None else float(max_seconds)):
         if isinstance(problem, QuadraticProgramResult) and x is None:

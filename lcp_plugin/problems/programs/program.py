@@ -18,7 +18,7 @@ from ...core.entries import largest_in_rows
 from ...core.errors import InvalidProblem, UnsupportedModel
 from ...core.kernels.floats import EPSILON, UNIT
 from ...core.names import Names, checked_names, listed, shared_labels
-from ...core.problem import Problem
+from ...core.problem import Problem, check_labels
 from ...core.rounding import compensated_pair, compensated_product
 from ...core.structure import mismatch
 from ...judges.program import Indices, JudgedProgram
@@ -252,6 +252,7 @@ class QuadraticProgram(Problem):
         >>> program.with_vectors(h=[9]).h
         array([9.])
         """
+        check_labels(self, locals())
         m, p, n, _ = self.matrices.sizes
         below, above = checks.checked_bounds(
             self.lower if lower is None else lower, self.upper if upper is None else upper, n

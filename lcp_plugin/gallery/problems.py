@@ -14,6 +14,7 @@ import scipy.sparse as sp
 from numpy.typing import ArrayLike, NDArray
 
 from ..core.checks import Vector
+from ..core.errors import public
 from ..core.lcp import LCP
 from ..core.settings import whole_number
 from .scene import Scene, require, scene_builder
@@ -162,6 +163,7 @@ def sphere_solution(r: Field) -> Field:
     return np.where(r < CONTACT_RADIUS, sphere_obstacle(r), strength * free)
 
 
+@public
 def binomial_put(
     spot: ArrayLike,
     *,

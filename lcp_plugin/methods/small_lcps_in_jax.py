@@ -15,7 +15,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from ..core.checks import INFINITE_LIMIT, Array, check_kind, real_array
+from ..core.checks import INFINITE_LIMIT, MAX_CROSSING, Array, check_kind, real_array
 from ..core.errors import InvalidProblem, public
 from ..core.kernels.floats import FREE, HIGH, LOW, NEGLIGIBLE_DIAGONAL, SMALLEST_PIVOT
 from ..core.settings import checked_tolerance
@@ -402,7 +402,7 @@ def solve_lcp(
     Raises
     ------
     InvalidProblem
-        If shapes do not fit together, or n is larger.
+        If shapes do not fit together, n is larger, or lower > upper, unless JAX traces the bounds.
     InvalidOption
         If the tolerance is not between 0 and 1, or for another argument.
 
@@ -423,6 +423,9 @@ def solve_lcp(
     [[-0.5, 0.0], [0.0, 0.0]]
     """
     M, q, lower, upper = checked_arrays(M, q, lower, upper)
+    crosses = lower > upper + MAX_CROSSING * jnp.finfo(q.dtype).eps * abs(upper)
+    if not isinstance(crosses, jax.core.Tracer) and crosses.any():
+        raise InvalidProblem("lower exceeds upper; bounds must satisfy lower ≤ upper: swap them")
     axes, n, dtype = q.shape[:-1], q.shape[-1], q.dtype
     tolerance = TOLERANCES[dtype.itemsize] if tolerance is None else tolerance
     if not isinstance(tolerance, jax.Array):

@@ -15,7 +15,7 @@ import numpy as np
 import scipy.sparse as sp
 from cvxpy.constraints.constraint import Constraint
 
-from ..core.errors import InvalidOption, UnsupportedModel, warn
+from ..core.errors import InvalidOption, InvalidProblem, UnsupportedModel, warn
 from ..expressions.rows import Indices, as_matrix, is_definition
 from ..problems.programs.program import QuadraticProgram
 from . import _compat as atoms
@@ -239,11 +239,11 @@ class Optimal(Condition):
 
         Raises
         ------
-        ValueError
+        InvalidProblem
             If a variable has no value yet.
         """
         if any(variable.value is None for variable in self.program.variables()):
-            raise ValueError("variables of the agent have no values; solve the problem first")
+            raise InvalidProblem("variables of the agent have no values; solve the problem first")
         return possible_gain(self)
 
     def describe_gap(self) -> str:

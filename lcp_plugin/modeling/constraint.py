@@ -14,7 +14,7 @@ from cvxpy.constraints.nonpos import Inequality, NonNeg
 from cvxpy.constraints.zero import Equality, Zero
 
 from ..core.checks import fill
-from ..core.errors import UnsupportedModel
+from ..core.errors import InvalidProblem, UnsupportedModel
 from ..problems.cones.frictional_contact import dimension_of
 from ._compat import by_id
 from .model import Side, pair_residual, stacked
@@ -204,12 +204,12 @@ class Condition(Constraint):  # type: ignore[misc]
 
         Raises
         ------
-        ValueError
+        InvalidProblem
             If a variable has no value yet.
         """
         residual = self.residual
         if residual is None:
-            raise ValueError("variables of the complementarity have no values; solve first")
+            raise InvalidProblem("variables of the complementarity have no values; solve first")
         return float(np.max(residual, initial=0.0))
 
     def value(self, tolerance: float = 1e-8) -> bool:

@@ -20,10 +20,10 @@ from ..core.settings import Status
 T = TypeVar("T")
 
 
-def item_number(k: int, count: int) -> int:
+def item_number(k: int, count: int, hint: str = "") -> int:
     """Return the number of a result, counted from 0; raise IndexError if it is none of `count`."""
     if not -count <= index(k) < count:
-        raise IndexError(f"there are {count} results, and none has the number {k}")
+        raise IndexError(f"there are {count} results, and none has the number {k}{hint}")
     return index(k) % count
 
 
@@ -53,7 +53,8 @@ class AnswerSequence(Sequence[T]):
     def __getitem__(self, k: int | slice) -> T | list[T]:
         if isinstance(k, slice):
             return [self.at(i) for i in range(len(self))[k]]
-        return self.at(item_number(k, len(self)))
+        hint = "; keep=1 keeps all steps" if getattr(self, "keep", 1) != 1 else ""
+        return self.at(item_number(k, len(self), hint))
 
     @property
     def all_solved(self) -> bool:

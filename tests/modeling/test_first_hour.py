@@ -109,6 +109,7 @@ def test_a_game_has_no_reversed_row():
     assert "may be wrong" not in result.explain()
 
 
+ONE = cp.Variable(nonneg=True)
 SPACE = [[0.0, 0.0, 1.0]], [[[1.0, 0.0, 0.0], [0.0, 1.0, 0.0]]]
 MESSAGES: dict[str, tuple[Any, str]] = {
     "a number for the masses": (
@@ -151,6 +152,14 @@ MESSAGES: dict[str, tuple[Any, str]] = {
         lambda: march(FrictionalContact(np.eye(3), [-1.0, 1.0, 0.0], 0.4), [[-1.0, 1.0, 0.0]]),
         r"needs an array as propagator.* call step.solve\(b=…\) .* in a loop",
     ),
+    "a gap before a solve": (
+        lambda: optimal(cp.Problem(cp.Minimize(ONE**2)), over=[ONE]).gap(),
+        "have no values; solve the problem first",
+    ),
+    "a violation before a solve": (
+        lambda: complements(ONE, ONE + 1).violation(),
+        "have no values; solve first",
+    ),
     "four rows a contact": (
         lambda: FrictionalContact(np.eye(4), np.ones(4), [0.5], dimension=4),
         "dimension, the rows of a contact, must be 3, or 2 in the plane, got 4",
@@ -169,6 +178,10 @@ MESSAGES: dict[str, tuple[Any, str]] = {
         r"write FrictionalContact\.worlds\(W, b, friction",
     ),
     "a text in place of a result": (lambda: derivative("text"), "got str$"),
+    "a dividend of a tree": (
+        lambda: gallery.binomial_put(100.0, dividend=0.03),
+        r"binomial_put: missing .*'strike'; write binomial_put\(spot, strike=…, ",
+    ),
     "a size by position": (lambda: gallery.obstacle_2d(30), "by name: size, shifted$"),
     "no problem": (lambda: certify(None, [1.0]), "got NoneType$"),
     "a limit of a step": (

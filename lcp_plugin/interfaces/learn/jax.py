@@ -74,7 +74,8 @@ def lcp_layer(
     InvalidProblem
         If an array has another type or shape, or its numbers are not a valid problem.
     NotConverged
-        If a problem of the batch is not solved, without `mask`; the message names it.
+        If a problem of the batch is not solved, without `mask`; the message names it. Where JAX calls the host, it
+        raises its own JaxRuntimeError with this text: use `mask`.
     UnsuitableProblem, UnsupportedModel
         If a derivative does not exist, or a second derivative is requested.
 

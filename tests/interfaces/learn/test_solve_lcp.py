@@ -102,7 +102,7 @@ def test_the_test_accepts_no_wrong_point():
             assert certify(problem, at[:, k], tolerance=1e-8).verdict == "proved"
     assert not solve_lcp(np.eye(2), np.array([-1.0, 1e-310]))[1]
     assert not solve_lcp(np.eye(2), np.array([-1.0, np.nan]))[1]
-    assert not solve_lcp(np.eye(2), np.ones(2), 1.0, 0.0)[1]
+    assert not jax.jit(solve_lcp)(np.eye(2), np.ones(2), 1.0, 0.0)[1]
 
 
 def test_derivatives_are_those_of_derivative_and_of_differences():
@@ -257,6 +257,7 @@ def test_slacks_of_single_precision_arrays_are_double():
         ),
         (lambda M, q: solve_lcp(LCP(M, q), q), InvalidProblem, "M must be an array"),
         (lambda M, q: solve_lcp(csr_array(M), q), InvalidProblem, r"use \.toarray"),
+        (lambda M, q: solve_lcp(M, q, 1.0, 0.0), InvalidProblem, "lower exceeds upper"),
         (lambda M, q: solve_lcp(M, q, "a"), InvalidProblem, "lower must be an array"),
         (lambda M, q: solve_lcp(M, q, tolerance="a"), InvalidOption, "tolerance must be"),
         (lambda M, q: solve_lcp(M), InvalidOption, "missing"),

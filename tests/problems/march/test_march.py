@@ -90,6 +90,8 @@ def test_keep_is_a_number_of_steps_or_last():
     for wrong in (0, "first", 2.5):
         with pytest.raises(InvalidOption, match='keep must be an integer ≥ 1, or "last"'):
             heated(5, 3, keep=wrong)
+    with pytest.raises(IndexError, match="none has the number -2; keep=1 keeps all steps"):
+        heated(5, 3, keep="last")[-2]
 
 
 # --- Derivatives ----------------------------------------------------------------------------------------------

@@ -39,6 +39,10 @@ def resolve(target: str) -> object:
             if not target.startswith(str(error.name)):
                 return f"{error.name} is not installed"
             continue
+        except ImportError as error:  # of a module that needs an optional package
+            if "install it with" not in str(error):
+                raise
+            return str(error)
         for name in parts[count:]:
             fields = getattr(found, "__dataclass_fields__", {})
             found = fields[name] if name in fields else getattr(found, name)

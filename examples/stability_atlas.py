@@ -25,14 +25,16 @@ import numpy as np
 import scipy.linalg
 import scipy.sparse as sp
 import typer
+from numpy.typing import NDArray
 
 from lcp_plugin import LCP, UnsuitableMatrix, UnsuitableProblem, solve
 from lcp_plugin.algorithms import REGISTRY
 from lcp_plugin.core.checks import Array, Vector
 from lcp_plugin.core.entries import scale_by
-from lcp_plugin.gallery.problems import Coefficient, Field, stencil_matrix
 from lcp_plugin.proofs.exact import exact_slack, is_exact_solution, rational_rows, solved_nearby
 
+Field = NDArray[np.float64]
+Coefficient = float | Field
 Legs = tuple[list[Coefficient], list[Coefficient]]  # below and above, one coefficient per axis
 ExactPoint = tuple[Fraction, ...]
 
@@ -64,6 +66,50 @@ class StressCase:
     def exact(self) -> ExactPoint | None:
         """z* in fractions, verified exactly; None without `near`."""
         return None if self.near is None else exact_answer(self.problem, self.near)
+
+
+def stencil_matrix(
+    shape: tuple[int, ...], centre: Coefficient, below: Sequence[Any], above: Sequence[Any]
+) -> sp.csr_array:
+    """Return the matrix of (centre u)_i + Σ_axis (below[axis] u_{i − e} + above[axis] u_{i + e}) on a grid.
+
+    Neighbors outside the grid are left out: their known values belong into q.
+
+    Parameters
+    ----------
+    shape
+        Number of nodes along each axis; unknowns are numbered in C order.
+    centre, below, above
+        Coefficients: numbers, or arrays that broadcast to `shape`; `below` and `above` hold one per axis.
+
+    Returns
+    -------
+    csr_array, shape (n, n)
+        Canonical, with 32-bit indices if they suffice.
+
+    Examples
+    --------
+    >>> stencil_matrix((3,), 2.0, [-1.0], [-1.0]).toarray()
+    array([[ 2., -1.,  0.],
+           [-1.,  2., -1.],
+           [ 0., -1.,  2.]])
+    """
+    n = math.prod(shape)
+    strides = [math.prod(shape[axis + 1 :]) for axis in range(len(shape))]
+    # The far neighbor below comes first, the far neighbor above last: each row is born sorted.
+    offsets = [*(-stride for stride in strides), 0, *reversed(strides)]
+    entries = np.empty((*shape, len(offsets)))
+    for axis in range(len(shape)):
+        entries[..., axis] = below[axis]
+        entries[..., -1 - axis] = above[axis]
+        np.moveaxis(entries, axis, 0)[0, ..., axis] = 0.0
+        np.moveaxis(entries, axis, 0)[-1, ..., -1 - axis] = 0.0
+    entries[..., len(shape)] = centre
+
+    entries = entries.reshape(n, len(offsets))
+    rows, legs = np.nonzero(entries)
+    columns = rows + np.array(offsets)[legs]
+    return sp.csr_array((entries[rows, legs], (rows, columns)), shape=(n, n))
 
 
 def balanced_matrix(shape: tuple[int, ...], legs: Legs) -> sp.csr_array:

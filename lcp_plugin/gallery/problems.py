@@ -1,12 +1,11 @@
 """Test problems: a membrane over an obstacle, the paper's examples, and a solution with active constraints.
 
-Also matrices that couple each node of a grid with its nearest neighbors, and a binomial tree for American puts.
+Also a binomial tree for American puts.
 """
 
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
@@ -20,87 +19,6 @@ from ..core.settings import whole_number
 from .scene import Scene, require, scene_builder
 
 Field = NDArray[np.float64]
-Coefficient = float | Field
-Legs = Sequence[Coefficient]
-
-
-def nodes(low: float, high: float, size: int) -> Vector:
-    """Return `size` equidistant nodes inside [low, high] and its endpoints, shape (size + 2,)."""
-    return np.linspace(low, high, size + 2)
-
-
-def interior(dimension: int) -> tuple[slice, ...]:
-    """Return the index of the interior of a field that includes its boundary layer."""
-    return (slice(1, -1),) * dimension
-
-
-def stencil_matrix(
-    shape: tuple[int, ...], centre: Coefficient, below: Legs, above: Legs
-) -> sp.csr_array:
-    """Return the matrix of (centre u)_i + Σ_axis (below[axis] u_{i − e} + above[axis] u_{i + e}) on a grid.
-
-    Neighbors outside the grid are left out: their known values belong into q, see `dirichlet_terms`.
-
-    Parameters
-    ----------
-    shape
-        Number of nodes along each axis; unknowns are numbered in C order.
-    centre, below, above
-        Coefficients: numbers, or arrays that broadcast to `shape`; `below` and `above` hold one per axis.
-
-    Returns
-    -------
-    csr_array, shape (n, n)
-        Canonical, with 32-bit indices if they suffice.
-
-    Examples
-    --------
-    >>> stencil_matrix((3,), 2.0, [-1.0], [-1.0]).toarray()
-    array([[ 2., -1.,  0.],
-           [-1.,  2., -1.],
-           [ 0., -1.,  2.]])
-    """
-    n = math.prod(shape)
-    strides = [math.prod(shape[axis + 1 :]) for axis in range(len(shape))]
-    # The far neighbor below comes first, the far neighbor above last: each row is born sorted.
-    offsets = [*(-stride for stride in strides), 0, *reversed(strides)]
-    entries = np.empty((*shape, len(offsets)))
-    for axis in range(len(shape)):
-        entries[..., axis] = below[axis]
-        entries[..., -1 - axis] = above[axis]
-        np.moveaxis(entries, axis, 0)[0, ..., axis] = 0.0
-        np.moveaxis(entries, axis, 0)[-1, ..., -1 - axis] = 0.0
-    entries[..., len(shape)] = centre
-
-    entries = entries.reshape(n, len(offsets))
-    rows, legs = np.nonzero(entries)
-    columns = rows + np.array(offsets)[legs]
-    return sp.csr_array((entries[rows, legs], (rows, columns)), shape=(n, n))
-
-
-def dirichlet_terms(field: Field, below: Legs, above: Legs) -> Vector:
-    """Return the terms that known values on the boundary layer add to each row of the stencil, shape (n,).
-
-    Parameters
-    ----------
-    field : shape (size + 2 along each axis)
-        Values on the grid and its boundary layer; only the layer is used.
-    below, above
-        The coefficients of `stencil_matrix`.
-
-    Examples
-    --------
-    >>> dirichlet_terms(np.array([5.0, 0, 0, 0, 7.0]), [-1.0], [-1.0])
-    array([-5.,  0., -7.])
-    """
-    inside = interior(field.ndim)
-    layer = field.copy()
-    layer[inside] = 0.0
-    terms = np.zeros_like(layer[inside])
-    for axis in range(field.ndim):
-        before, after = np.roll(layer, 1, axis)[inside], np.roll(layer, -1, axis)[inside]
-        terms += below[axis] * before + above[axis] * after
-    return terms.ravel()
 
 
 CONTACT_RADIUS = 0.6979651482233735
@@ -137,12 +55,12 @@ def obstacle_2d(*, size: int = 100, shifted: bool = False) -> Scene:
     Kinderlehrer, Stampacchia, *An Introduction to Variational Inequalities and Their Applications*, SIAM
     2000, doi:10.1137/1.9780898719451.
     """
-    axis = nodes(-HALF_SIDE, HALF_SIDE, size)
+    axis, inner = np.linspace(-HALF_SIDE, HALF_SIDE, size + 2), (slice(1, -1), slice(1, -1))
     r = np.hypot(*np.ix_(axis, axis))
-    solution, radius, legs = sphere_solution(r), r[interior(2)], (-1.0, -1.0)
-    M = stencil_matrix(radius.shape, 4.0, legs, legs)
-    q, lower = dirichlet_terms(solution, legs, legs), sphere_obstacle(radius).ravel()
-    continuum = solution[interior(2)].ravel()
+    solution, edge = sphere_solution(r), sphere_solution(r)
+    continuum, lower, edge[inner] = solution[inner].ravel(), sphere_obstacle(r[inner]).ravel(), 0.0
+    M = five_point_matrix(size, 4.0)
+    q = 0.0 - (edge[:-2] + edge[2:])[:, 1:-1].ravel() - (edge[:, :-2] + edge[:, 2:])[1:-1].ravel()
     if shifted:
         q, continuum, lower = M @ lower + q, continuum - lower, np.zeros(lower.size)
     facts: dict[str, Any] = {"unknown": "height", "active_means": "on the obstacle"}
@@ -279,12 +197,33 @@ def paper_example_2(*, n: int = 100, delta: float = 4.0) -> Scene:
     return _five_point(delta, exact, legs=(-1.5, -0.5), start=start)
 
 
+def five_point_matrix(
+    side: int, centre: float, legs: tuple[float, float] = (-1.0, -1.0)
+) -> sp.csr_array:
+    """Return the matrix of centre u_i + Σ (legs[0] u_(i − e) + legs[1] u_(i + e)) over both axes of a square grid.
+
+    Examples
+    --------
+    >>> five_point_matrix(2, 4.0, (-1.5, -0.5)).toarray()
+    array([[ 4. , -0.5, -0.5,  0. ],
+           [-1.5,  4. ,  0. , -0.5],
+           [-1.5,  0. ,  4. , -0.5],
+           [ 0. , -1.5, -1.5,  4. ]])
+    """
+    line = sp.diags_array([legs[0], centre / 2, legs[1]], offsets=[-1, 0, 1], shape=(side, side))
+    return sp.csr_array(sp.kronsum(line, line, format="csr"))
+
+
 def _five_point(
-    delta: float, exact: Vector, slack: Coefficient = 0.0, legs: Legs = (-1.0, -1.0), **facts: Any
+    delta: float,
+    exact: Vector,
+    slack: float | Vector = 0.0,
+    legs: tuple[float, float] = (-1.0, -1.0),
+    **facts: Any,
 ) -> Scene:
     """Return the test problem of a five-point matrix plus delta I whose solution and slack are chosen."""
     side = _side(exact.size)
-    M = stencil_matrix((side, side), 4.0 + delta, *([leg] * 2 for leg in legs))
+    M = five_point_matrix(side, 4.0 + delta, legs)
     facts |= {"grid": (side, side), "axis_labels": ("row", "column")}
     return Scene(problem=LCP(M, slack - M @ exact), exact=exact, **facts)
 

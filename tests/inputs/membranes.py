@@ -10,20 +10,12 @@ from typing import Any, NamedTuple
 import numpy as np
 import scipy.sparse as sp
 from scipy.sparse.linalg import spsolve
-from stability_atlas import balanced_matrix, stiff_cells, upwind
+from stability_atlas import Field, balanced_matrix, stencil_matrix, stiff_cells, upwind
 
 from lcp_plugin import LCP, gallery
 from lcp_plugin.core.settings import parse_options
 from lcp_plugin.gallery import Scene
-from lcp_plugin.gallery.problems import (
-    CONE_BEGINS,
-    Field,
-    dirichlet_terms,
-    interior,
-    nodes,
-    sphere_obstacle,
-    stencil_matrix,
-)
+from lcp_plugin.gallery.problems import CONE_BEGINS, sphere_obstacle
 
 CONTACT_RADIUS = 0.7892441190408083  # the root r* in (0, 1) of 2 r² − r³/2 = 1
 MEMBRANE: dict[str, Any] = {"unknown": "height", "active_means": "on the obstacle"}
@@ -45,12 +37,13 @@ def obstacle_3d(*, size: int = 30, shifted: bool = False) -> Scene:
     As `obstacle_2d` with the radial solution u = A (1/r − 1/2): u and u′ continuous with ψ at r* give
     A = r*³/√(1 − r*²) and 2 r*² − r*³/2 = 1. Rows are the rows of the seven-point stencil (6, −1).
     """
-    axis = nodes(-2.0, 2.0, size)
+    axis, inner, legs = np.linspace(-2.0, 2.0, size + 2), (slice(1, -1),) * 3, (-1.0,) * 3
     r = np.sqrt(sum(x**2 for x in np.ix_(axis, axis, axis)))
-    solution, radius, legs = sphere_solution(r), r[interior(3)], (-1.0,) * 3
-    M = stencil_matrix(radius.shape, 6.0, legs, legs)
-    q, lower = dirichlet_terms(solution, legs, legs), sphere_obstacle(radius).ravel()
-    continuum = solution[interior(3)].ravel()
+    M = stencil_matrix((size,) * 3, 6.0, legs, legs)
+    edge, lower = sphere_solution(r), sphere_obstacle(r[inner]).ravel()
+    continuum = edge[inner].ravel()
+    edge[inner] = 0.0
+    q = 0.0 - sum(np.roll(edge, step, k)[inner].ravel() for k in range(3) for step in (1, -1))
     if shifted:
         q, continuum, lower = M @ lower + q, continuum - lower, np.zeros(lower.size)
     return Scene(
@@ -100,7 +93,7 @@ def convection_diffusion(
 
 def pulled_membrane(M: sp.csr_array, size: int, scale: float = 1.0) -> Scene:
     """Return the test problem of a membrane above the ground that the force f pulls up and down."""
-    axis = nodes(0.0, 1.0, size)[1:-1]
+    axis = np.linspace(0.0, 1.0, size + 2)[1:-1]
     x, y = np.ix_(axis, axis)
     force: Field = 10.0 * np.sin(3.0 * np.pi * x) * np.sin(2.0 * np.pi * y)
     q = (-scale / (size + 1) ** 2 * force).ravel()
@@ -229,8 +222,8 @@ def journal_bearing(
     complementary, p = 0 on the boundary, h = 1 + ε cos θ. An edge takes h³ at its midpoint. Rows are the rows of the
     five-point stencil times both mesh widths.
     """
-    angle = nodes(0.0, 2.0 * np.pi, size)
-    width = nodes(0.0, 2.0 * half_length, size)
+    angle = np.linspace(0.0, 2.0 * np.pi, size + 2)
+    width = np.linspace(0.0, 2.0 * half_length, size + 2)
     step, depth = angle[1] - angle[0], width[1] - width[0]
 
     def film_cubed(at: np.ndarray) -> np.ndarray:
@@ -260,13 +253,13 @@ class Put(NamedTuple):
 
 def american_put(*, size: int = 1001, volatility: float = 0.2, steps: int = 100) -> Put:
     """An American put of one year, at a strike of 100 and 5 % interest, over log(S/K) in (−1.5, 1.5)."""
-    log_price = nodes(-1.5, 1.5, size)
+    log_price = np.linspace(-1.5, 1.5, size + 2)
     payoff, h = 100.0 * np.maximum(1.0 - np.exp(log_price), 0.0), 3.0 / (size + 1)
     diffusion, drift = 0.5 * (volatility / h) ** 2, 0.5 * (0.05 - 0.5 * volatility**2) / h
     below, above = (drift - diffusion) / steps, -(drift + diffusion) / steps
     M = stencil_matrix((size,), 1.0 + 0.05 / steps - below - above, [below], [above])
-    terms = dirichlet_terms(payoff, [below], [above])
-    inside = payoff[1:-1]
+    inside, terms = payoff[1:-1], np.zeros(size)
+    terms[0] = below * payoff[0]  # at the other end the put is worth nothing
     return Put(LCP(M, terms - inside, lower=inside), steps, lambda z: terms - z)
 
 

@@ -112,18 +112,8 @@ class Conflict:
         return exact.solved_nearby(rows, right, [exact.ZERO] * n, [True] * n)
 
     def verify(self) -> bool:
-        """Return whether the multipliers and the points prove that the members conflict irreducibly; exact."""
-        if not self.is_exact:
-            return False
-        members, q = self.members, [Fraction(float(self.rows.q[i])) for i in self.members]
-        rows = exact.rational_rows(self.rows.matrix[members])
-        for k in range(len(members)):
-            if (x := self.point(k)) is None:
-                return False
-            w = [value + offset for value, offset in zip(exact.products(rows, x), q, strict=True)]
-            if any(w[:k]) or any(w[k + 1 :]):
-                return False
-        return True
+        """Return whether the members conflict for all x, and no fewer of them do; in exact arithmetic."""
+        return self.is_exact and _is_irreducible(self.rows, self.multipliers)
 
     def __str__(self) -> str:
         count, others = len(self.members), int(self.rows.needs_rise.sum())

@@ -78,10 +78,16 @@ from tempfile import mkdtemp
 from typing import Any
 
 try:
-    from pyomo.common.collections import Bunch
     from pyomo.core import SymbolMap, maximize
     from pyomo.core.base.label import NumericLabeler
-    from pyomo.opt import Solution, SolverFactory, SolverResults, SolverStatus, TerminationCondition
+    from pyomo.opt import (
+        OptSolver,
+        Solution,
+        SolverFactory,
+        SolverResults,
+        SolverStatus,
+        TerminationCondition,
+    )
 except ImportError as error:
     raise ImportError(
         "lcp_plugin.pyomo needs pyomo; install it with: pip install pyomo (or lcp_plugin[pyomo])"
@@ -104,30 +110,13 @@ STATES = {
 
 @SolverFactory.register(HYPHENATED, doc=DOC)
 @SolverFactory.register(NAME, doc=DOC)
-class LCPPlugin:
+class LCPPlugin(OptSolver):  # type: ignore[misc]
     """The solver that ``SolverFactory("lcp_plugin")`` gives; see ``help("lcp_plugin.pyomo")``."""
 
-    name = NAME
-    _metasolver = False
-
     def __init__(self, **keywords: Any) -> None:
-        self.options = Bunch(**(keywords.pop("options", None) or {}))
+        super().__init__(type=NAME, doc=DOC, options=keywords.pop("options", None))
         self.result: Any = None
         _refuse({key: value for key, value in keywords.items() if key != "solver_io"})
-
-    def __enter__(self) -> LCPPlugin:
-        return self
-
-    def __exit__(self, *raised: object) -> None:
-        pass
-
-    def available(self, exception_flag: bool = True) -> bool:
-        """Return True: it is here."""
-        return True
-
-    def license_is_valid(self) -> bool:
-        """Return True: it needs none."""
-        return True
 
     def warm_start_capable(self) -> bool:
         """Return True: a run begins at the values of the variables."""
@@ -142,12 +131,6 @@ class LCPPlugin:
         if isinstance(options, str):
             options = parse_options(shlex.split(options.strip("\"' ")))
         self.options.update({name: value for name, value in options.items() if value is not None})
-
-    def config_block(self, init: bool = False) -> Any:
-        """Return the options of the command ``pyomo solve --solver=lcp_plugin``."""
-        from pyomo.scripting.solve_config import default_config_block
-
-        return default_config_block(self, init)[0]
 
     def solve(
         self,

@@ -1,9 +1,9 @@
 """The table of algorithms by name, and the functions that create them.
 
 An algorithm is a class below :class:`Algorithm` with ``name``, its options as fields, ``needs``, ``solves``, ``cost``
-and ``reference``, which ``lcp-plugin list`` and the manual's table print. Ours is a file in ``methods/`` and a line of
-`REGISTRY`; an object of any other class works as well, ``solve(problem, Mine())``, and ``examples/add_an_algorithm.py``
-writes one. Convex programs also have engines, external solvers, in a separate table (:mod:`lcp_plugin.engines`).
+and ``reference``, which ``lcp-plugin list`` prints. Ours is a class in ``methods/`` (sweeps: ``core/splittings.py``)
+and a line of `REGISTRY`; your own works as an object, ``solve(problem, Mine())``: ``examples/add_an_algorithm.py``.
+Convex programs also have engines, external solvers, in a separate table (:mod:`lcp_plugin.engines`).
 
 An instance holds its options, and raises InvalidOption if one is wrong:
 

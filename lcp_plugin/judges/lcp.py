@@ -420,8 +420,8 @@ class RowData:
         """Return the residuals of all rows; by sums in twice the precision if rounding decides at the tolerance."""
         # The largest T_k/d_k of the rows that count in the component, rounding included
         may_be_active = at.is_active | ((np.abs(at.w) <= at.rounding) & (self.lower < self.upper))
-        rounding = 1.0 - (self._counts + 8) * EPSILON
-        of_active = np.where(may_be_active, at.terms / self.scale * rounding, 0.0)
+        shrink = 1.0 - (self._counts + 8) * EPSILON
+        of_active = np.where(may_be_active, at.terms / self.scale * shrink, 0.0)
         of_origin = self.references[0]
         if self.anywhere(of_origin == 0.0):  # z° solves the component
             of_origin = np.where(of_origin == 0.0, self.largest_slack_at_origin, of_origin)

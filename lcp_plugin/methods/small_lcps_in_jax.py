@@ -19,6 +19,7 @@ from ..core.checks import INFINITE_LIMIT, MAX_CROSSING, Array, check_kind, real_
 from ..core.errors import InvalidProblem, public
 from ..core.kernels.floats import FREE, HIGH, LOW, NEGLIGIBLE_DIAGONAL, SMALLEST_PIVOT
 from ..core.settings import checked_tolerance
+from ..judges.lcp import DEMAND_POWER, POWER
 from .small import LOOP_UP_TO, tilts
 
 INF = jnp.inf
@@ -271,7 +272,7 @@ def _accepted(
     counts = _largest(part, jnp.where(is_free, at.terms / scale, 0.0))[0]
     limit = jnp.minimum(first, jnp.maximum(counts, at.terms / scale))
     residual = jnp.where(high > 0.0, high / limit, 0.0)
-    allowed = 0.5 * jnp.minimum(tolerance**0.75 * at.terms, tolerance**0.25 * demand)
+    allowed = 0.5 * jnp.minimum(tolerance**POWER * at.terms, tolerance**DEMAND_POWER * demand)
     is_small = scale * high <= allowed
     if q.dtype == np.float64:
         is_small |= violation <= 2.0**-43 * at.terms

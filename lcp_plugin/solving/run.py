@@ -1,8 +1,8 @@
-"""The loop of a run: methods propose points, each point is measured, and the run ends at the first reason to do so.
+"""The loop of a run: methods propose points, each point is measured, and a stage ends at the first reason to do so.
 
 One loop serves every problem class. A class derives its run from :class:`Run`, defines `measure` and `result`, and
-yields the stages of its plan. The reason to end is a status: SOLVED of a point that passes, PRECISION_LIMIT of a point
-at rounding level, STALLED also where a method has no further step, or another method takes over.
+yields the stages of its plan. The reason to end is a status. After STALLED or DIVERGED the next stage begins, after any
+other the run ends. STALLED also means that a method has no further step, or has used its budget.
 """
 
 from __future__ import annotations
@@ -453,7 +453,7 @@ class Run:
         return self.end_of_stage(stage, end)
 
     def _take(self, stage: Stage, step: Any) -> Status | None:
-        """Count, measure and report one step; return why the run ends with it, or None."""
+        """Count, measure and report one step; return why the stage ends with it, or None."""
         progress = self.progress
         if not isinstance(step, Step):  # of an algorithm from outside
             raise InvalidOption(
@@ -463,11 +463,8 @@ class Run:
         point = self.latest = self.measure(stage, step)
         if point is not None:
             self.keep(point)
-        end: Status | None
-        if point is not None and point.passes:
-            end = Status.SOLVED
-        else:
-            end = self.end_of(stage, step, point) or progress.limit()
+        passes = point is not None and point.passes
+        end = Status.SOLVED if passes else self.end_of(stage, step, point) or progress.limit()
         is_watched = progress.is_watched and not stage.is_reported
         if is_watched and progress.report(self, stage, step, point, is_last=end is not None):
             progress.end = progress.end or Status.INTERRUPTED

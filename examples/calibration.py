@@ -66,8 +66,10 @@ def prices(
         LCP(matrix(a, c, 1 + k * RATE - a - c), np.zeros(SIZE), lower=g)
         for a, c, k, g in zip(below, above, dt, payoff[:, 1:-1], strict=True)
     ]
-    forcing = np.broadcast_to(edge[0][:, None], (sigma.size, STEPS, SIZE))
-    marches = march(problems, forcing, propagator=-1.0, z0=payoff[:, 1:-1])
+    marches = [
+        march(problem, np.broadcast_to(row, (STEPS, SIZE)), propagator=-1.0, z0=problem.lower)
+        for problem, row in zip(problems, edge[0], strict=True)
+    ]
     marched = time.perf_counter()
     node = SIZE // 2  # that of today's price
     value, vega = (

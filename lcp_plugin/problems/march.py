@@ -1,7 +1,5 @@
 """Time stepping: one matrix, and a q that depends on the solution of the previous step.
 
-march(): time stepping for one or many problems, such as strikes of an option.
-
 Time stepping on a narrow band: steps are solved one after the other, and checked in blocks.
 
 M may be tridiagonal with off-diagonal entries ≤ 0 and bounds on one side only, as in an American option. Each step
@@ -19,7 +17,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Sequence
 from functools import partial
-from itertools import islice, repeat
+from itertools import islice
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -55,8 +53,7 @@ from ..solving.result import Result, StageRecord
 from ..solving.run import Stage
 from ..systems.factors import BANDED_UP_TO, Bands, bands
 from ..systems.graph import bandwidth, outer_on_pattern, sum_of_outer
-from .cones.data import Blocks
-from .many import AnswerSequence, length_of_all, rows_of_a_batch
+from .many import AnswerSequence
 from .nonlinear.data import NonlinearProblem
 
 
@@ -99,13 +96,13 @@ class BandSteps:
         fixed = read_only(Q)
         for k, f in enumerate(forcing):
             Q[k] = f + self.propagate(state)
-            stated = self.done.data.problem_at(problem, block.start + k)
+            stated = self.done.problems[block.start + k]
             z = self._step(stated, fixed[k], state)
             if z is None:
                 Q, Z = Q[:k], Z[:k]
                 break
             state = Z[k] = z
-        bounds = self.done.data.bounds_of(problem, slice(block.start, block.start + len(Q)))
+        bounds = self.done.bounds_of(slice(block.start, block.start + len(Q)))
         data = RowData(problem.csr, self.absolute, Q, *bounds, problem.residual_scale)
         measured = data.measure(Z, self.settings.tolerance)
         passes, moves = measured.passes, (measured.z != Z).any(axis=1)
@@ -139,8 +136,8 @@ class March(AnswerSequence[Result]):
     Parameters
     ----------
     problem, forcing, propagator, z0 : problem, array of shape (k, n), csr_array of shape (n, n), array of shape (n,)
-    data : StepData
-        The data that change from step to step.
+        `problem` is the problem of the first step.
+    problems : sequence of k problems
 
     Attributes
     ----------
@@ -162,16 +159,34 @@ class March(AnswerSequence[Result]):
     all_solved = True
 
     def __init__(
-        self, problem: Any, forcing: Vector, propagator: sp.csr_array, z0: Vector, data: StepData
+        self,
+        problem: Any,
+        problems: Sequence[Any],
+        forcing: Vector,
+        propagator: sp.csr_array,
+        z0: Vector,
     ) -> None:
         self.problem, self.forcing, self.propagator, self.z0 = problem, forcing, propagator, z0
-        self.data, self.keep, self.steps, self.taken = data, 1, list[int](), 0
+        self.problems, self.keep, self.steps, self.taken = problems, 1, list[int](), 0
         self.seconds = 0.0
         self.error: LCPError | None = None
         self.is_interrupted = False
         self._z: list[Vector] = []
         self._stacked: Vector | None = None
         self._results: list[Result | Callable[[], Result]] = []
+
+    @property
+    def has_own_matrices(self) -> bool:
+        """True if the matrices of LCPs change."""
+        matrices = [getattr(problem, "matrix", None) for problem in self.problems]
+        return any(matrix is not matrices[0] for matrix in matrices)
+
+    def bounds_of(self, steps: slice) -> tuple[Vector, Vector]:
+        """Return the bounds of some steps, shape (n,) if they are constant, else a row per step."""
+        problem, problems = self.problem, self.problems[steps]
+        if all(one is problem for one in problems):
+            return problem.lower, problem.upper
+        return np.array([one.lower for one in problems]), np.array([one.upper for one in problems])
 
     def at(self, k: int) -> Result:
         """Return the result of step k."""
@@ -233,7 +248,7 @@ class March(AnswerSequence[Result]):
 def take_steps_on_band(done: March, algorithm: Any, options: dict[str, Any], limit: float) -> None:
     """Take the steps of a march on a narrow band, until a time limit or an unsolved step."""
     problem, clock = done.problem, Clock()
-    if not isinstance(problem, LCP) or not problem.n or done.data.matrices is not None:
+    if not isinstance(problem, LCP) or not problem.n or done.has_own_matrices:
         return
     method, settings = parse_call(algorithm, options)
     is_watched = settings.record or settings.verbose
@@ -250,17 +265,17 @@ def take_steps_on_band(done: March, algorithm: Any, options: dict[str, Any], lim
         solved = steps.solve(block, state)
         for q, state in zip(*solved, strict=True):
             row, z = (q, state) if done.keep == 1 else (q.copy(), read_only(state.copy()))
-            stated = partial(done.data.problem_at, problem, done.taken)
+            stated = done.problems[done.taken]
             done.take(z, partial(_result_at, stated, row, z, settings))  # without its block
         if done.taken < block.stop:
             break
 
 
-def _result_at(problem_of: Callable[[], LCP], q: Vector, z: Vector, settings: Settings) -> Result:
+def _result_at(problem: LCP, q: Vector, z: Vector, settings: Settings) -> Result:
     """Return the result of a step on a band, which is measured already."""
     stage = StageRecord(Banded.name, "M is a narrow band: many steps in one loop", 1, 1.0)
     point = Measured(z, 0.0, passes=True)
-    return Result.of(problem_of().with_q(q), point, [stage], settings)
+    return Result.of(problem.with_q(q), point, [stage], settings)
 
 
 def take_steps(done: March, algorithm: Any, options: dict[str, Any], limit: float) -> None:
@@ -272,8 +287,7 @@ def take_steps(done: March, algorithm: Any, options: dict[str, Any], limit: floa
     while done.taken < total and done.all_solved:
         step, is_late = done.taken, clock.read() >= limit
         try:
-            stated = done.data.problem_at(problem, step)
-            stated = stated.with_q(done.forcing[step] + propagator @ state)
+            stated = done.problems[step].with_q(done.forcing[step] + propagator @ state)
             call = {**options}
             if limit < np.inf:
                 call["max_seconds"] = max(limit - clock.read(), 0.0)
@@ -319,147 +333,36 @@ def checked_propagator(propagator: AnyMatrix, n: int, name: str = "propagator") 
     return sp.csr_array(checks.rectangular_matrix(propagator, name, n, n))
 
 
-BOUNDS = "lower", "upper"
-AT = "lower_at", "upper_at", "M_at", "F_at"
-
-
-class StepData:
-    """Bounds, matrices and functions that change from step to step, checked.
-
-    Parameters
-    ----------
-    k, n : int
-        Numbers of steps and of unknowns.
-    M_at : sequence of k matrices, callable or None
-    F_at : callable or None
-    **bounds
-        Arrays of shape (k, n), or None for the bounds of the problem.
-
-    Raises
-    ------
-    InvalidProblem
-        If a number of rows is not k, or the data of a step are invalid; the message names the step.
-    """
-
-    def __init__(self, k: int, n: int, M_at: Any, problem: Any, F_at: Any, **bounds: Array) -> None:
-        self.matrices, self.functions = M_at, F_at
-        is_list = M_at is not None and not callable(M_at)
-        if is_list:
-            _check_matrices(M_at, "M_at", k)
-        rows = {name: values for name, values in bounds.items() if values is not None}
-        for name, values in rows.items():
-            need = f"{name}_at must be an array of shape ({k}, {n}), a row per step ({name}= is for all steps)"
-            rows[name] = checks.real_array(values, need)
-            if rows[name].ndim == 2 and len(rows[name]) != k:
-                raise InvalidProblem(_wrong_count(f"{name}_at", len(rows[name]), k))
-            if rows[name].shape != (k, n):
-                raise InvalidProblem(f"{need}, got shape {rows[name].shape}")
-        table = np.empty((2, k if rows else 0, n))
-        names: Any = tuple(f"{name}_at" if name in rows else name for name in BOUNDS)
-        lower, upper = (rows.get(name, repeat(getattr(problem, name))) for name in BOUNDS)
-        for step, low, high in zip(range(table.shape[1]), lower, upper, strict=False):
-            try:
-                table[:, step] = checks.checked_bounds(low, high, n, names=names)
-            except InvalidProblem as error:
-                raise InvalidProblem(f"step {step}: {error}") from error
-        self.bounds: Any = table if rows else None
-        self._last: Any = None, None
-        for step in range(k if is_list else 0):
-            self._with_matrix(problem, step)
-
-    def bounds_of(self, problem: LCP, steps: slice) -> tuple[Vector, Vector]:
-        """Return the bounds of some steps, shape (n,) if they are constant, else a row per step."""
-        if self.bounds is None:
-            return problem.lower, problem.upper
-        lower, upper = self.bounds[:, steps]
-        return lower, upper
-
-    def problem_at(self, problem: Any, step: int) -> Any:
-        """Return the problem of a step, with any q."""
-        if self.functions is not None:
-            problem = problem.with_function_of(self.functions(step), f"F_at of step {step}")
-        problem = problem if self.matrices is None else self._with_matrix(problem, step)
-        if self.bounds is None:
-            return problem
-        lower, upper = self.bounds[:, step]
-        return problem.with_q(problem.q, lower=lower, upper=upper)
-
-    def _with_matrix(self, problem: LCP, step: int) -> LCP:
-        """Return the problem with the matrix of a step; equal objects in a list share the facts about it."""
-        is_called = callable(self.matrices)
-        M = self.matrices(step) if is_called else self.matrices[step]
-        if is_called or M is not self._last[0]:  # a function may use one array again
-            matrix = checks.rectangular_matrix(M, f"M_at of step {step}", problem.n, problem.n)
-            self._last = M, problem.with_data(M=matrix)
-        stated: LCP = self._last[1]
-        return stated
-
-
-def _check_matrices(matrices: Any, name: str, k: int) -> None:
-    """Raise InvalidProblem unless this is a sequence of k matrices."""
-    if not hasattr(matrices, "__len__") or sp.issparse(matrices) or np.ndim(matrices[:1]) == 2:
-        raise InvalidProblem(
-            f"{name} must be a sequence of {k} matrices, or a callable step -> M, got {type(matrices).__name__}; "
-            f"for one matrix in all steps write [M] * {k}"
-        )
-    if len(matrices) != k:
-        raise InvalidProblem(_wrong_count(name, len(matrices), k))
-
-
-def _wrong_count(name: str, count: int, k: int) -> str:
-    missing = f"step {count} has none" if count < k else f"step {k} does not exist"
-    return f"{name} must have one entry per step, {k} as forcing has rows, got {count}: {missing}"
-
-
 @np.errstate(all="ignore")
 def march(
-    problem: LCP | NonlinearProblem | Blocks | Sequence[LCP],
+    problem: Any,
     forcing: ArrayLike,
     propagator: object = -1.0,
     *,
-    lower: ArrayLike | None = None,
-    upper: ArrayLike | None = None,
-    lower_at: ArrayLike | None = None,
-    upper_at: ArrayLike | None = None,
-    M_at: object = None,
-    F_at: Callable[[int], NonlinearProblem] | None = None,
     z0: ArrayLike | None = None,
     algorithm: str | Algorithm = "auto",
     max_seconds: float | None = None,
     keep: int | str = 1,
     **options: Any,
-) -> Any:
+) -> March:
     """Return the results of steps in time: step j has q = forcing[j] + propagator @ z, z from the step before.
-
-    If forcing, z0, lower or upper have an additional first axis, or if problem or propagator is a list, m marches run
-    one after the other.
 
     Parameters
     ----------
-    problem : LCP or NonlinearProblem or ConeProblem or FrictionalContact, or a list of m of one class
+    problem : LCP or NonlinearProblem or ConeProblem or FrictionalContact, or a sequence of k of these
         Gives M and the bounds or cones; its q is not used. A NonlinearProblem gives F, to which the q of a step is
-        added. In a list, one problem per march.
-    forcing : array, shape (k, n), or (m, k, n) for m marches
+        added. If M, F or bounds change from step to step, a problem per step, of one class and size. For bounds of the
+        steps write ``[problem.with_data(lower=row) for row in rows]``, as for the dates of a Bermudan option (−∞
+        between them) or an obstacle that moves. Steps with the same matrix share its factors.
+    forcing : array, shape (k, n)
         One row per step; use ``np.broadcast_to(row, (k, n))`` for constant forcing.
-    propagator : number or array or sparse array, shape (n, n), or a list of m of these
+    propagator : number or array or sparse array, shape (n, n)
         Map from the z of one step to its contribution to the next q; a number means a multiple of the identity. An
         implicit Euler step (I + Δt A) z = z_before has −1. A FrictionalContact needs an array, see the notes.
-    lower, upper : number or array, shape (n,) or (m, n), optional
-        Replace the bounds in all steps. If k marches of k steps are meant, give forcing the shape (k, k, n).
-    lower_at, upper_at : array, shape (k, n), optional
-        Bounds of each step, for all marches, such as the dates of a Bermudan option (−∞ between them) or an obstacle
-        that moves.
-    M_at : sequence of k arrays or sparse arrays, shape (n, n), or callable, optional
-        Matrix of each step, for all marches, in place of the matrix of `problem`, such as of a local volatility. A
-        callable gets the number of a step, from 0; `derivative` calls it again. Consecutive steps with the same object
-        in a list share its factors.
-    F_at : callable, optional
-        ``F_at(step)`` returns the NonlinearProblem of a step, from 0, for an F that depends on time, in place of F and
-        F′ of `problem`; the bounds are those of `problem`.
-    z0 : array, shape (n,) or (m, n), optional
-        The state before the first step; by default the point of [lower, upper] nearest to 0.
+    z0 : array, shape (n,), optional
+        The state before the first step; by default the point of the bounds of the first step nearest to 0.
     max_seconds : float, optional
-        Wall-clock limit in seconds for all marches together. The current step is then the last step.
+        Wall-clock limit in seconds. The current step is then the last step.
     keep : int or "last"
         Steps that the result contains: every k-th step and the last, or the last only. Other steps are dropped as soon
         as the next step is taken, which saves memory; the derivative of a march needs all steps.
@@ -468,9 +371,9 @@ def march(
 
     Returns
     -------
-    March, or a list of m of them
+    March
         A sequence of k Results. The sequence is shorter after Ctrl-C, after a step that was not solved, or if the q of
-        a step overflows (see ``error``). Ctrl-C and a callback also end the other marches.
+        a step overflows (see ``error``).
 
     Raises
     ------
@@ -509,134 +412,83 @@ def march(
     >>> march(rod, [[-1, 0], [-1, 0]], z0=[1, 1]).z.round(3)
     array([[0.875, 0.625],
            [0.781, 0.469]])
-    >>> caps = [[1, 1], [0.5, 1], [0.25, 1]]
-    >>> [done.z[-1].round(3).tolist() for done in march(rod, [[-1, 0], [-1, 0]], z0=[1, 1], upper=caps)]
-    [[0.781, 0.469], [0.5, 0.333], [0.25, 0.222]]
-    >>> march(rod, [[-1, 0], [-1, 0]], z0=[1, 1], lower_at=[[0, 0], [0, 0.6]]).z.round(3)
+    >>> held = rod.with_data(lower=[0, 0.6])  # in the second step
+    >>> march([rod, held], [[-1, 0], [-1, 0]], z0=[1, 1]).z.round(3)
     array([[0.875, 0.625],
            [0.825, 0.6  ]])
-    >>> stiffer = LCP([[4, -2], [-2, 4]], [0, 0], upper=1)
-    >>> [done.z[-1].round(3) for done in march([rod, stiffer], [[-1, 0], [-1, 0]], z0=[1, 1])]
-    [array([0.781, 0.469]), array([0.722, 0.528])]
-
     ẋ = −x³ in steps of ½, for x ≥ 0.6:
 
     >>> steps = march(NonlinearProblem(lambda x: x + 0.5 * x**3, lower=0.6), np.zeros((3, 1)), z0=[1.0])
     >>> steps.z.ravel().round(4)
     array([0.7709, 0.6399, 0.6   ])
     """
-    states: dict[str, Any] = {"lower": lower, "upper": upper, "z0": z0}
-    is_list = isinstance(problem, (list, tuple))
-    are_many = is_list or _is_one_a_march(propagator) or _axes(forcing) == 3
-    count = np.shape(forcing)[0] if _axes(forcing) == 2 else 0
-    for name in BOUNDS if not are_many and _axes(z0) < 2 else ():
-        if _axes(states[name]) == 2 and len(states[name]) == count > 1:
-            raise InvalidProblem(
-                f"{name} has {count} rows, and forcing has {count} steps: write {name}_at={name} for bounds of the "
-                f"steps; for {count} = k marches with bounds each write np.broadcast_to(forcing, (k, k, n))"
-            )
-    are_many = are_many or 2 in map(_axes, states.values())
-    problems: list[Any] = [*problem] if is_list else [problem]  # type: ignore[misc]
-    if not problems:
-        return []
     clock, limit = Clock(), Settings(max_seconds=max_seconds).max_seconds
-    states = {name: values for name, values in states.items() if values is not None}
-    at = {"lower": lower_at, "upper": upper_at, "M_at": M_at, "F_at": F_at}
-    for name in BOUNDS:
-        if name in states and at[name] is not None:
-            raise InvalidOption(f"{name} and {name}_at exclude each other; leave out {name}")
-    arrays = {"forcing": forcing, "propagator": propagator, **states}
-    marches = _begin(problems, arrays, at, algorithm, options, are_many=are_many)
     every = 0 if keep == "last" else whole_number(keep, "keep", 1, ', or "last"')
-    for k, run in enumerate(marches):
-        run.keep, begun = every, clock.read()
-        try:
-            take_steps_on_band(run, algorithm, options, limit - clock.read())
-            take_steps(run, algorithm, options, max(limit - clock.read(), 0.0))
-        except KeyboardInterrupt:
-            if not run.taken:
-                raise
-            run.is_interrupted, run.all_solved = True, False
-        run.seconds = clock.read() - begun
-        if run.is_interrupted:
-            for later in marches[k + 1 :]:
-                later.all_solved = not len(later.forcing)
-            break
-    return marches if are_many else marches[0]
-
-
-def _axes(values: Array) -> int:
-    """Return the number of axes of an argument."""
+    done = _begin(problem, forcing, propagator, z0, algorithm, options)
+    done.keep = every
     try:
-        return np.ndim(values)
-    except ValueError:  # rows of different lengths, which later raise InvalidProblem
-        return 0
+        take_steps_on_band(done, algorithm, options, limit - clock.read())
+        take_steps(done, algorithm, options, max(limit - clock.read(), 0.0))
+    except KeyboardInterrupt:
+        if not done.taken:
+            raise
+        done.is_interrupted, done.all_solved = True, False
+    done.seconds = clock.read()
+    return done
 
 
 def _begin(
-    problems: list[Any], arrays: Any, at: Any, algorithm: Any, options: Any, *, are_many: bool
-) -> list[March]:
-    """Return the marches before their first steps; raise an error for invalid data."""
-    forcing, propagator = arrays.pop("forcing"), arrays.pop("propagator")
-    if _axes(forcing):  # of an F for any number of unknowns
-        m = np.shape(forcing)[-1]
-        problems = [one.with_size(m) if getattr(one, "n", 0) is None else one for one in problems]
-    n = getattr(problems[0], "n", 0)
-    changing = {*arrays} - {"z0"} | {name for name, values in at.items() if values is not None}
-    for j, problem in enumerate(problems):
-        if class_of(problem) not in classes_of("march"):
-            raise InvalidOption(refusal("march", problem))
-        of_problem = "F_at" if isinstance(problem, NonlinearProblem) else "M_at"
-        takes = (*BOUNDS, of_problem) if isinstance(problem, (LCP, NonlinearProblem)) else ()
-        if wrong := sorted(changing.difference(takes)):
-            owner = with_article(str(class_of(problem)))
-            raise InvalidOption(f"{owner} has no {' and '.join(wrong)} in a march; leave it out")
-        if problem.n != n:
-            raise InvalidProblem(
-                f"all problems must have one size, got n = {n}, and {problem.n} of problem {j}; "
-                "call march once per size"
-            )
+    problem: Any, forcing: Any, propagator: Any, z0: Any, algorithm: Any, options: dict[str, Any]
+) -> March:
+    """Return the march before its first step; raise an error for invalid data."""
+    stated = problem if isinstance(problem, (list, tuple)) and problem else [problem]
+    first, name = stated[0], str(class_of(stated[0]))
+    if name not in classes_of("march"):
+        raise InvalidOption(refusal("march", first))
+    if wrong := options.keys() & {"lower", "upper", "lower_at", "upper_at", "M_at", "F_at"}:
+        raise InvalidOption(
+            f"march has no option {min(wrong)!r}: M, F and bounds are of the problem, or of a list with a problem per "
+            "step; write [problem.with_data(lower=row) for row in rows]"
+        )
     # no options of solve
-    others = ("problem", "forcing", "propagator", *BOUNDS, *AT, "algorithm", "keep")
-    known = {*OF_SOLVE, *options_of(str(class_of(problems[0])))} - {"x0", "options"}
+    others = ("problem", "forcing", "propagator", "z0", "algorithm", "keep")
+    known = {*OF_SOLVE, *options_of(name)} - {"x0", "options"}
     if algorithm == "auto" and (unknown := [name for name in options if name not in known]):
         hint = did_you_mean(unknown[0], (*others, *sorted(known)))
         raise InvalidOption(f"march has no option {unknown[0]!r}{hint}")
-    shape = "(m, k, n), or (k, n) for all marches" if are_many else "(k, n), a row per step"
-    axes = (2, 3) if are_many else (2,)
-    need = f"{shape}, n = {n}"
-    forcings = checked_rows("forcing", forcing, need, lambda of: len(of) in axes and of[-1] == n)
-    each = propagator if _is_one_a_march(propagator) else [propagator]
-    rows = [forcings] if forcings.ndim == 2 else [*forcings]
-    is_contact = class_of(problems[0]) == "FrictionalContact"
-    if is_contact and any(checks.is_number(C) and C for C in each):
+    n = first.n
+    need = "(k, n), a row per step" + ("" if n is None else f", n = {n}")
+    force = checked_rows("forcing", forcing, need, lambda of: len(of) == 2 and n in (None, of[1]))
+    k, n = force.shape
+    if stated is problem:
+        _check_count("problem", problem, k)
+    for step, one in enumerate(stated):
+        if class_of(one) != name or one.n not in (None, n):
+            got = f"{type(one).__name__} with n = {getattr(one, 'n', None)}"
+            raise InvalidProblem(
+                f"problem[{step}] must be {with_article(name)}, n = {n}, got {got}"
+            )
+    problems = [one.with_size(n) if one.n is None else one for one in stated]
+    if name == "FrictionalContact" and checks.is_number(propagator) and propagator:
         raise InvalidOption(
             f"march of a FrictionalContact needs an array as propagator, see help(march), got {propagator}; for "
             "moving bodies call step.solve(b=…) of step = prepare(problem) in a loop"
         )
-    propagators = [checked_propagator(C, n) for C in each]
-    several = {"problem": problems, "forcing": rows, "propagator": propagators}
-    for name, values in arrays.items():
-        several[name] = rows_of_a_batch(values, name, n) if are_many else [values]
-    if isinstance(problems[0], LCP):
+    C = checked_propagator(propagator, n)
+    if name == "LCP":
         parse_call(algorithm, options)
-    lengths = {name: len(data) for name, data in several.items() if len(data) != 1}
-    marches = []
-    for j in range(length_of_all(lengths)):
-        parts = {name: part[min(j, len(part) - 1)] for name, part in several.items()}
-        stated, force, C = (parts.pop(name) for name in ("problem", "forcing", "propagator"))
-        z0 = parts.pop("z0", None)
-        stated = stated.with_q(stated.q, **parts) if parts else stated
-        state = stated.nearest_to_zero if z0 is None else checks.checked_vector(z0, "z0", n)
-        data = StepData(len(force), n, problem=stated, **at)
-        marches.append(March(stated, force, C, state, data))
-    return marches
+    first = problems[0]
+    state = first.nearest_to_zero if z0 is None else checks.checked_vector(z0, "z0", n)
+    return March(first, problems if stated is problem else problems * k, force, C, state)
 
 
-def _is_one_a_march(propagator: Array) -> bool:
-    """Return whether the argument is a sequence of propagators: sparse arrays, or a batch axis."""
-    is_list = isinstance(propagator, (list, tuple)) and any(map(sp.issparse, propagator))
-    return is_list or _axes(propagator) in (1, 3)  # numbers, or matrices
+def _check_count(name: str, values: Any, k: int) -> None:
+    """Raise InvalidProblem unless a sequence has an entry per step."""
+    if (count := len(values)) != k:
+        missing = f"step {count} has none" if count < k else f"step {k} does not exist"
+        raise InvalidProblem(
+            f"{name} must have one entry per step, {k} as forcing has rows, got {count}: {missing}"
+        )
 
 
 LEFT = 2.0**-20  # relative to the last change: bound of the remaining error
@@ -736,7 +588,7 @@ class Steps:
         change = before = np.full(z.shape, KINK, np.int8)
         if band is None:
             return z, before, False
-        lower, upper = self.march.data.bounds_of(problem, self.steps)
+        lower, upper = self.march.bounds_of(self.steps)
         scale = problem.residual_scale
         for is_last in (False, True):
             w, size = (band.M @ z.T).T + self.q, (band.size @ np.abs(z).T).T + np.abs(self.q)
@@ -767,14 +619,12 @@ class Steps:
 
     def at(self, k: int) -> StepDerivative:
         """Return the derivative of a step by the data of the step."""
-        march, z = self.march, self.states[k + 1]
-        if isinstance(march.problem, NonlinearProblem):
-            return self.whole[self.steps.start + k]
-        problem = march.data.problem_at(march.problem, self.steps.start + k).with_q(self.q[k])
+        result = self.march[self.steps.start + k]
+        problem = result.certificate.problem
         # The last factorization is used again if it fits
         before = self.whole.before
         before = before if before and before.problem.matrix is problem.matrix else None
-        step = self.whole.derivative_at(problem, z, problem.slack(z), before=before)
+        step = self.whole.derivative_at(problem, result.z, result.w, before=before)
         self.whole.before = step
         return step
 
@@ -855,8 +705,8 @@ class MarchGradient(NamedTuple):
         Gradients by the state before the first step, also for the default z0, and by the bounds of all steps.
     M, propagator : csr_array, shape (n, n)
         Gradients by the entries of M and the propagator, on their sparsity patterns. For a number as propagator, use
-        the sum of the diagonal. With `M_at`, M is a list of the gradients by the matrix of each step. For a
-        NonlinearProblem, M has no entries.
+        the sum of the diagonal. If matrices change, M is a list of the gradients by the matrix of each step. For
+        a NonlinearProblem, M has no entries.
     forcing, lower_at, upper_at : array, shape (k, n)
         Gradients by the forcing and the bounds of each step.
     """
@@ -971,8 +821,8 @@ class MarchDerivative:
             Changes of the bounds; only active bounds matter.
         dlower_at, dupper_at : array, shape (k, n), optional
             Changes of the bounds of each step, in addition.
-        dM_at : sequence of k arrays or sparse arrays, shape (n, n), or callable, optional
-            Changes of the matrix of each step; a callable returns the change for the number of a step.
+        dM_at : sequence of k arrays or sparse arrays, shape (n, n), optional
+            Changes of the matrix of each step, in addition.
         only_last : bool
             If True, return only the change of the last solution.
 
@@ -1003,14 +853,13 @@ class MarchDerivative:
         high = checks.change_of_vector(dupper, "dupper", n, may_be_number=True)
         low = low + _rows(dlower_at, "dlower_at", steps, n)
         high = high + _rows(dupper_at, "dupper_at", steps, n)
-        if dM_at is not None and not callable(dM_at):
-            _check_matrices(dM_at, "dM_at", steps)
+        if dM_at is not None:
+            _check_count("dM_at", dM_at, steps)
 
         def change_of_M(k: int) -> Any:
             if dM_at is None:
                 return dM
-            change = dM_at(k) if callable(dM_at) else dM_at[k]
-            return dM + checks.rectangular_matrix(change, f"dM_at of step {k}", n, n)
+            return dM + checks.rectangular_matrix(dM_at[k], f"dM_at of step {k}", n, n)
 
         before = checks.change_of_vector(dz0, "dz0", n).copy()
         dz = np.empty((0 if only_last else steps, n))
@@ -1053,23 +902,23 @@ class MarchDerivative:
         values = checked_rows("g", g, need, ((steps, n), (n,)).__contains__)
         rows = np.zeros((steps, n))
         rows[slice(-1, None) if values.ndim == 1 else slice(None)] = values
-        problem, data = self.march.problem, self.march.data
+        march, problem = self.march, self.march.problem
         M = getattr(problem, "csr", sp.csr_array((n, n)))
-        propagator = self.march.propagator
+        has_own_matrices, propagator = march.has_own_matrices, march.propagator
         after, of_bounds, forcing = np.zeros(n), np.zeros((2, steps, n)), np.empty((steps, n))
         of_M, of_C, each = np.zeros(M.nnz), np.zeros(propagator.nnz), list[Any]()
         for part in self._parts(backwards=True):
             by_q = part.vjp(rows[part.steps], after, of_bounds[:, part.steps])
             forcing[part.steps] = by_q
-            if data.matrices is None:
-                of_M += sum_of_outer(M, by_q, part.z).data
-            else:
-                at = (data.problem_at(problem, k).matrix for k in range(steps)[part.steps])
+            if has_own_matrices:
+                at = (result.certificate.problem.matrix for result in march[part.steps])
                 each[:0] = [*map(outer_on_pattern, at, by_q, part.z)]
+            else:
+                of_M += sum_of_outer(M, by_q, part.z).data
             of_C += sum_of_outer(propagator, by_q, part.states[:-1]).data
         z0 = propagator.T @ after if steps else np.atleast_2d(values).sum(axis=0)
         by_M: Any = sp.csr_array((of_M, M.indices, M.indptr), shape=(n, n))
-        by_M = by_M if data.matrices is None else each
+        by_M = each if has_own_matrices else by_M
         by_C = sp.csr_array((of_C, propagator.indices, propagator.indptr), shape=(n, n))
         lower, upper = of_bounds.sum(axis=1)
         return MarchGradient(z0, lower, upper, by_M, by_C, forcing, of_bounds[0], of_bounds[1])
@@ -1086,7 +935,7 @@ class MarchDerivative:
     def band(self) -> Band | None:
         """The band of M; None if M is not a narrow band, or changes from step to step."""
         problem = self.march.problem
-        if self.march.data.matrices is not None or isinstance(problem, NonlinearProblem):
+        if self.march.has_own_matrices or isinstance(problem, NonlinearProblem):
             return None
         return Band.of(problem.matrix, self.march.propagator)
 

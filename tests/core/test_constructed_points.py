@@ -56,9 +56,10 @@ def march_points(problem: LCP, case: Case) -> Points:
     """Yield the points of three steps with the same data, from the wrong point and from z°."""
     further = np.zeros(problem.n - case.q.size)
     for z0 in (np.concatenate([case.wrong, further]), problem.nearest_to_zero):
-        for at in ({}, {"lower_at": [problem.lower] * 3}, {"M_at": [problem.M] * 3}):
+        each = [problem.with_data(lower=problem.lower) for _ in range(3)]
+        for stated in (problem, each, [problem.with_data(M=problem.M) for _ in range(3)]):
             forcing: Any = np.broadcast_to(problem.q, (3, problem.n))
-            done = march(problem, forcing, propagator=0.0, z0=z0, **at)
+            done = march(stated, forcing, propagator=0.0, z0=z0)
             for k, z in enumerate(done.z):
                 assert done[k].status is done.status[k]
                 assert done[k].z.tobytes() == z.tobytes()

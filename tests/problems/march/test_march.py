@@ -1,4 +1,4 @@
-"""Marches in time: several at once, and their derivatives."""
+"""Marches in time, and their derivatives."""
 
 from __future__ import annotations
 
@@ -46,23 +46,6 @@ def test_the_solutions_of_a_march_are_one_array(n):
     np.testing.assert_array_equal(done.z[:, 1], [one.z[1] for one in done])
     assert heated(n, 6, keep="last").z.shape == (1, n)
     assert march(LCP(np.eye(n), np.zeros(n)), np.zeros((0, n))).z.shape == (0, n)
-
-
-@pytest.mark.parametrize("name", ["lower", "upper"])
-def test_bounds_with_as_many_rows_as_steps_are_refused(name):
-    """Bounds (k, n) may be of steps or of marches: the message has both; other numbers of rows are marches."""
-    rod, forcing = LCP([[3.0, -1.0], [-1.0, 3.0]], [0.0, 0.0]), -np.ones((3, 2))
-    ends = 0.1 * np.arange(6.0).reshape(3, 2)
-    with pytest.raises(
-        InvalidProblem,
-        match=rf"{name} has 3 rows, and forcing has 3 steps.*write {name}_at={name} ",
-    ):
-        march(rod, forcing, **{name: ends})
-    many = march(rod, np.broadcast_to(forcing, (3, 3, 2)), **{name: ends})
-    assert [len(one) for one in many] == [3, 3, 3]
-    assert [len(one) for one in march(rod, forcing, **{name: ends[:2]})] == [3, 3]
-    assert len(march(rod, forcing, z0=np.zeros((3, 2)), **{name: ends})) == 3
-    assert len(march(rod, forcing[:1], **{name: ends[:1]})) == 1
 
 
 @pytest.mark.quick(1)
@@ -295,57 +278,6 @@ def test_a_march_without_steps_has_a_derivative():
     assert not found.vjp(np.zeros((0, 3))).z0.any()
 
 
-# --- Many at once ---------------------------------------------------------------------------------------------
-
-
-@pytest.mark.parametrize(
-    "make",
-    [
-        lambda: (LCP(grid(5), np.zeros(25)), -1.0),
-        lambda: drawn(25, 2, width=2),
-        lambda: drawn(25, 1, z=True),
-    ],
-)
-def test_many_marches_of_any_kind_are_those_one_by_one(make):
-    """Forcings, bounds and states of their own, or one for all; where steps are hard, and on any matrix."""
-    (problem, propagator), rng = make(), np.random.default_rng(3)
-    forcing, states = rng.normal(scale=5.0, size=(6, 8, 25)), rng.normal(size=(6, 25))
-    lower, upper = -rng.uniform(0.1, 1.0, (6, 25)), rng.uniform(0.1, 1.0, (6, 25))
-    upper[:, 3] = lower[:, 3]
-    found = march(problem, forcing, propagator, lower=lower, upper=upper, z0=states)
-    for j, one in enumerate(found):
-        alone = march(
-            problem.with_q(problem.q, lower=lower[j], upper=upper[j]),
-            forcing[j],
-            propagator,
-            z0=states[j],
-        )
-        assert one.all_solved
-        for ours, theirs in zip(one.z, alone.z, strict=True):
-            np.testing.assert_allclose(ours, theirs, rtol=0, atol=1e-7 * abs(theirs).max())
-    same = march(problem, forcing[0], propagator, z0=states)
-    assert all(
-        np.allclose(one.z[0], march(problem, forcing[0][:1], propagator, z0=z).z[0], atol=1e-7)
-        for one, z in zip(same, states, strict=True)
-    )
-    assert [len(one) for one in march(problem, forcing[:, :0], propagator)] == [0] * 6
-
-
-def test_one_march_that_ends_early_does_not_stop_the_others():
-    """Marches that overflow or are not solved report it, and other marches reach their end."""
-    rod = LCP(sp.diags_array([-1.0, 2.5, -1.0], offsets=[-1, 0, 1], shape=(6, 6)), np.zeros(6))
-    forcing = np.full((3, 4, 6), -1.0)
-    forcing[1, 2:] = -1.7e308
-    found = march(rod, forcing, -0.5)
-    assert [len(one) for one in found] == [4, len(found[1]), 4]
-    assert [one.all_solved for one in found] == [True, False, True]
-    assert len(found[1]) < 4
-    cut = march(rod, forcing[[0, 2]], -0.5, algorithm="psor", max_iterations=0)
-    assert [(len(one), one.all_solved) for one in cut] == [(1, False)] * 2
-    late = march(rod, forcing[[0, 2]], -0.5, max_seconds=0.0)
-    assert [(len(one), one[0].status) for one in late] == [(1, Status.MAX_SECONDS)] * 2
-
-
 # --- A march on a grid: American puts in Heston's model ---
 
 
@@ -446,17 +378,20 @@ march(still, [[0, 0, 0]], np.full((3, 3), np.inf)) → propagator\[0, 0\] = inf;
 march(still, [[0, 0, 0]], z0=np.zeros(2)) → z0 must be
 march(np.eye(3), [[0, 0, 0]])
     → InvalidOption: march needs an LCP, NonlinearProblem, ConeProblem or FrictionalContact, got ndarray
-march([still, LCP([[1]], [0])], [[0, 0, 0]])
-    → must have one size, got n = 3, and 1 of problem 1; call march once per size
-march([still] * 2, np.zeros((2, 3)), [np.eye(3)] * 3) → must be equally long, got problem 2, propagator 3
-march([still] * 2, np.zeros((2, 3)), z0=np.zeros((3, 3))) → must be equally long, got problem 2, z0 3
-march([still, np.eye(3)], np.zeros((2, 3)))
-    → InvalidOption: march needs an LCP, NonlinearProblem, ConeProblem or FrictionalContact, got ndarray
+march([still, LCP([[1]], [0])], np.zeros((2, 3))) → problem\[1\] must be an LCP, n = 3, got LCP with n = 1
+march([still, np.eye(3)], np.zeros((2, 3))) → problem\[1\] must be an LCP, n = 3, got ndarray
+march([still] * 2, np.zeros((3, 3))) → problem must have one entry per step, 3 .* step 2 has none
+march([still] * 4, np.zeros((3, 3))) → problem must have .* got 4: step 3 does not exist
+march([], [[0, 0, 0]]) → InvalidOption: march needs an LCP, .* got list
+march(still, [[0, 0, 0]], algorithm="psor", upper=1.0)
+    → InvalidOption: no option 'upper': .* of the problem.* \[problem.with_data\(lower=row\) for row in rows\]
+march(still, [[0, 0, 0]], M_at=[np.eye(3)]) → InvalidOption: march has no option 'M_at'
+march(still, np.zeros((2, 4, 3))) → forcing must be .* \(k, n\), a row per step, n = 3, got shape \(2, 4, 3\)
+march(still, [[0, 0, 0]], z0=np.zeros((2, 3))) → z0 must be
 """)
 def test_what_a_march_refuses(call, words):
     """Data of another shape, or not finite, raise errors before the first step."""
     assert_refused(call, words, {"still": LCP(np.eye(3), np.zeros(3))}, InvalidProblem)
-    assert march([], [[0, 0, 0]]) == []
 
 
 # --- Limits on a band -----------------------------------------------------------------------------------------
@@ -497,7 +432,7 @@ def test_a_step_that_the_method_before_does_not_take_is_planned_by_auto():
     other[0, 0], other[0, 1], other[1, 0] = 0.0, 1.0, -1.0
     waves = np.sin(np.linspace(0.0, 9.0, nodes**2))
     forcing = [-1e-2 * np.roll(waves, step) for step in range(4)]
-    found = march(LCP(plate, 0.0 * waves), forcing, M_at=[*[plate] * 3, other.tocsr()])
+    found = march([*[LCP(plate, 0.0 * waves)] * 3, LCP(other, 0.0 * waves)], forcing)
     assert found.all_solved
     assert found[2].algorithm == "auto: psor"
 
@@ -505,9 +440,10 @@ def test_a_step_that_the_method_before_does_not_take_is_planned_by_auto():
 @pytest.mark.parametrize("upper", [np.inf, 0.6])
 def test_march_on_a_band_obeys_max_iterations(upper):
     """Without an iteration no step is solved; a limit of 50 suffices for each step."""
-    none = march(BAND, np.broadcast_to(-1.0, (3, 200)), upper=upper, max_iterations=0)
+    band = BAND.with_data(upper=upper)
+    none = march(band, np.broadcast_to(-1.0, (3, 200)), max_iterations=0)
     assert [one.status for one in none] == [Status.MAX_ITERATIONS]
-    assert march(BAND, np.broadcast_to(-1.0, (3, 200)), upper=upper, max_iterations=50).all_solved
+    assert march(band, np.broadcast_to(-1.0, (3, 200)), max_iterations=50).all_solved
 
 
 def test_jvp_of_a_march_names_the_option_for_q():

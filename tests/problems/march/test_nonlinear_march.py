@@ -33,11 +33,12 @@ def implicit_euler(k, lower=-np.inf):
     def step(number):
         F = reacting((number + 1) * dt)
         return NonlinearProblem(
-            lambda u: MASS @ u + dt * F(u), lambda u: sp.csr_array(MASS + dt * reacting_slopes(u))
+            lambda u: MASS @ u + dt * F(u),
+            lambda u: sp.csr_array(MASS + dt * reacting_slopes(u)),
+            np.full(N, lower),
         )
 
-    problem = NonlinearProblem(lambda u: u, lower=np.full(N, lower))
-    return march(problem, np.zeros((k, N)), -MASS, F_at=step, tolerance=1e-12)
+    return march([*map(step, range(k))], np.zeros((k, N)), -MASS, tolerance=1e-12)
 
 
 def test_a_march_without_active_bounds_converges_to_the_differential_equation():
@@ -103,7 +104,7 @@ def test_a_clipper_of_diodes_follows_its_circuit():
         *((0.0, 2.0), [0.0], "Radau", dt * np.arange(1, k + 1)), rtol=1e-9, atol=1e-10,
     ).y[0]  # fmt: skip
     assert np.abs(free.z[:, 0] - exact).max() < 0.05
-    held = march(F, forcing, -0.3, z0=[0.0], lower=0.0).require_solved()
+    held = march(F.with_data(lower=0.0), forcing, -0.3, z0=[0.0]).require_solved()
     assert held.z.min() == 0.0
     assert held.z.max() == pytest.approx(free.z.max(), abs=0.01)
     w = np.array([one.w[0] for one in held])
@@ -115,24 +116,22 @@ def linear(seed=0):
     rng = np.random.default_rng(seed)
     M = sp.csr_array(sp.eye_array(N) + LINE / 400.0 + sp.diags_array(0.1 * rng.random(N)))
     data = {"forcing": rng.normal(size=(6, N)), "propagator": -sp.eye_array(N) - 0.1 * LINE / 400.0}
-    data |= {
-        "z0": rng.normal(size=N),
-        "lower_at": -0.2 - 0.1 * rng.random((6, N)),
-        "tolerance": 1e-12,
-    }
+    data |= {"z0": rng.normal(size=N), "tolerance": 1e-12}
+    lower_at = -0.2 - 0.1 * rng.random((6, N))
     problems = (
         LCP(M, np.zeros(N), upper=0.4),
-        NonlinearProblem(lambda z: M @ z, lambda z: M, 0.0, 0.4),
+        NonlinearProblem(lambda z: M @ z, lambda z: M, np.zeros(N), 0.4),
     )
-    return problems, data
+    each = [[one.with_data(lower=lower) for lower in lower_at] for one in problems]
+    return each, lower_at, data
 
 
 def test_an_affine_function_marches_as_its_matrix():
     """Solutions, jvp and vjp of M z + q as a function equal the ones of the LCP."""
-    problems, data = linear()
-    one, other = (march(problem, **data) for problem in problems)
+    problems, lower_at, data = linear()
+    one, other = (march(each, **data) for each in problems)
     np.testing.assert_allclose(other.z, one.z, rtol=0, atol=1e-9)
-    assert 0 < np.sum(one.z == data["lower_at"]) < one.z.size
+    assert 0 < np.sum(one.z == lower_at) < one.z.size
     rng = np.random.default_rng(1)
     change = {"dforcing": rng.normal(size=(6, N)), "dz0": rng.normal(size=N), "dlower": 0.3}
     change |= {"dM": sp.eye_array(N), "dpropagator": rng.normal(size=(N, N))}
@@ -170,24 +169,22 @@ def test_the_derivative_of_a_nonlinear_march_is_its_difference():
     assert np.sum(g * change) == pytest.approx(gradient.z0 @ dz0 + np.sum(gradient.forcing * df))
 
 
-def test_several_nonlinear_marches_take_their_own_states():
-    """A function for any number of unknowns, two starts, and two problems in a list."""
-    decay = NonlinearProblem(lambda x: x + x**3)
-    done = march(decay, np.zeros((2, 3)), z0=[[1.0, 2.0, 0.0], [0.5, 0.5, 0.5]])
-    assert [one.z.shape for one in done] == [(2, 3)] * 2
-    np.testing.assert_allclose(done[0].z[0] + done[0].z[0] ** 3, [1.0, 2.0, 0.0], atol=1e-8)
-    faster = NonlinearProblem(lambda x: x + 2.0 * x**3, lower=0.0)
-    found = march([decay, faster], np.zeros((1, 1)), z0=[1.0], check_jacobian=False)
-    assert [one.z[0, 0] for one in found] == pytest.approx([0.6823278, 0.5897545], abs=1e-6)
+def test_a_function_for_any_number_of_unknowns_has_that_of_the_forcing():
+    """One function, and one per step, for as many unknowns as forcing has columns."""
+    decay, faster = NonlinearProblem(lambda x: x + x**3), NonlinearProblem(lambda x: x + 2 * x**3)
+    done = march(decay, np.zeros((2, 3)), z0=[1.0, 2.0, 0.0])
+    np.testing.assert_allclose(done.z[0] + done.z[0] ** 3, [1.0, 2.0, 0.0], atol=1e-8)
+    each = march([decay, faster], np.zeros((2, 3)), z0=[1.0, 2.0, 0.0], check_jacobian=False)
+    np.testing.assert_allclose(each.z[1] + 2.0 * each.z[1] ** 3, done.z[0], atol=1e-8)
 
 
 def test_a_function_that_loses_its_domain_ends_a_march():
     """The steps before it are kept, and `error` names the row; in the first step the error is raised."""
 
     def at(step):
-        return NonlinearProblem(lambda x: x + (np.nan if step == 2 else 0.0))
+        return NonlinearProblem(lambda x: x + (np.nan if step == 2 else 0.0), lower=[0.0])
 
-    done = march(NonlinearProblem(lambda x: x, lower=[0.0]), np.zeros((4, 1)), z0=[1.0], F_at=at)
+    done = march([*map(at, range(4))], np.zeros((4, 1)), z0=[1.0])
     assert len(done) == 2
     assert "F must be finite" in str(done.error)
     with pytest.raises(InvalidProblem, match="F must be finite"):
@@ -195,15 +192,13 @@ def test_a_function_that_loses_its_domain_ends_a_march():
 
 
 @refusals(r"""
-march(F, [[0.0]], M_at=[np.eye(1)]) → InvalidOption: a NonlinearProblem has no M_at in a march; leave it out
-march(LCP([[1.0]], [0.0]), [[0.0]], F_at=lambda step: F) → InvalidOption: an LCP has no F_at in a march
-march(F, [[0.0]], F_at=lambda step: np.exp)
-    → InvalidProblem: F_at of step 0 must be a NonlinearProblem, got ufunc; return NonlinearProblem\(F\)
+march(F, [[0.0]], F_at=lambda step: F) → InvalidOption: march has no option 'F_at'
+march([F, np.exp], [[0.0], [0.0]])
+    → InvalidProblem: problem\[1\] must be a NonlinearProblem, n = 1, got ufunc
 march(F, [[0.0, 1.0], [2.0, 3.0]], z0=[0.0]) → InvalidProblem: z0 must be
 march(F, 0.0) → InvalidProblem: forcing must be a finite array of shape \(k, n\)
 march(F, [[0.0]], x0=[1.0]) → InvalidOption: march has no option 'x0'
 march(F, [[0.0]], search="best") → InvalidOption: search must be "monotone", "nonmonotone" or None
-march(F, [[0.0]], lower=0.0, lower_at=[[0.0]]) → InvalidOption: lower and lower_at exclude each other
 """)
 def test_what_a_nonlinear_march_refuses(call, words):
     """Data of other classes, wrong shapes and wrong options raise errors before the first step."""

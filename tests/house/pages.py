@@ -31,7 +31,7 @@ GUIDES = (
     *TRADES,
     *("agents", "traffic", "relays", "nonlinear", "nonlinear_obstacles", "quadratic_programs"),
     *("layers", "many_machines", "instead_of_path", "which_package", "browser", "stalled"),
-    *("solved", "what_is_proved", "paper"),
+    *("solved", "what_is_proved", "paper", "developing"),
 )
 NOTEBOOKS = EXAMPLES / "notebooks"
 NAMES = (

@@ -8,13 +8,12 @@ from typing import Any
 import cvxpy as cp
 import numpy as np
 import pytest
+from tools.refusals import assert_refused, refusals
 
 from lcp_plugin import (
     LCP,
-    BoundedLeastSquares,
     FrictionalContact,
     InvalidOption,
-    LCPError,
     ModelWarning,
     NonlinearProblem,
     QuadraticProgram,
@@ -22,10 +21,7 @@ from lcp_plugin import (
     certify,
     complements,
     derivative,
-    gallery,
-    march,
     optimal,
-    prepare,
     solve,
     solve_batch,
     trace,
@@ -111,103 +107,6 @@ def test_a_game_has_no_reversed_row():
 
 ONE = cp.Variable(nonneg=True)
 SPACE = [[0.0, 0.0, 1.0]], [[[1.0, 0.0, 0.0], [0.0, 1.0, 0.0]]]
-MESSAGES: dict[str, tuple[Any, str]] = {
-    "a number for the masses": (
-        lambda: FrictionalContact((2.0, *SPACE), [0, 0, -1.0], 0.5),
-        r"must be square, got shape \(\); of masses it is np.diag\(masses\)",
-    ),
-    "a vector of masses": (
-        lambda: FrictionalContact((np.ones(3), *SPACE), [0, 0, -1.0], 0.5),
-        r"got shape \(3,\); of masses it is np.diag\(masses\)",
-    ),
-    "a batch of contacts": (
-        lambda: FrictionalContact(np.eye(3), np.zeros((4, 3)), 0.5),
-        r"for many problems use FrictionalContact\.worlds",
-    ),
-    "solve of many": (
-        lambda: solve(FrictionalContact.worlds(np.eye(3), -np.ones((4, 3)), 0.5)),
-        r"write solve_batch\(…\)",
-    ),
-    "data by position": (
-        lambda: prepare(LCP([[1.0]], [1.0])).solve([1.0]),
-        r"data have names: write step.solve\(q=…\)",
-    ),
-    "velocities by position": (
-        lambda: prepare(FrictionalContact(np.eye(3), [-1.0, 0.0, 0.0], 0.5)).solve([1.0]),
-        r"write step.solve\(b=…\)",
-    ),
-    "a start as warm": (
-        lambda: prepare(LCP([[1.0]], [1.0])).solve(warm=np.zeros(2)),
-        "warm must be True or False",
-    ),
-    "a word of cvxpy": (
-        lambda: prepare(LCP([[1.0]], [1.0])).solve(warm_start=True),
-        "known: .*, warm",
-    ),
-    "an option that a program does not have": (
-        lambda: prepare(QuadraticProgram(np.eye(2), [1, 1]), max_second=1),
-        "did you mean 'max_seconds'",
-    ),
-    "a march of bodies": (
-        lambda: march(FrictionalContact(np.eye(3), [-1.0, 1.0, 0.0], 0.4), [[-1.0, 1.0, 0.0]]),
-        r"needs an array as propagator.* call step.solve\(b=…\) .* in a loop",
-    ),
-    "a gap before a solve": (
-        lambda: optimal(cp.Problem(cp.Minimize(ONE**2)), over=[ONE]).gap(),
-        "have no values; solve the problem first",
-    ),
-    "a violation before a solve": (
-        lambda: complements(ONE, ONE + 1).violation(),
-        "have no values; solve first",
-    ),
-    "four rows a contact": (
-        lambda: FrictionalContact(np.eye(4), np.ones(4), [0.5], dimension=4),
-        "dimension, the rows of a contact, must be 3, or 2 in the plane, got 4",
-    ),
-    "no point": (lambda: certify(QuadraticProgram(np.eye(1), [1.0])), "write certify.program, x."),
-    "a proof without an objective": (
-        lambda: solve(LCP([[1.0]], [1.0]), prove=True),
-        "prove=True needs an objective",
-    ),
-    "q of a program": (
-        lambda: prepare(QuadraticProgram(np.eye(2), [1, 1])).solve(q=[1, 2]),
-        "step.solve takes no q; the linear term is called c",
-    ),
-    "a batch without friction": (
-        lambda: FrictionalContact.worlds(np.eye(3), [[1.0, 0.0, 0.0]]),
-        r"write FrictionalContact\.worlds\(W, b, friction",
-    ),
-    "a text in place of a result": (lambda: derivative("text"), "got str$"),
-    "a dividend of a tree": (
-        lambda: gallery.binomial_put(100.0, dividend=0.03),
-        r"binomial_put: missing .*'strike'; write binomial_put\(spot, strike=…, ",
-    ),
-    "a size by position": (lambda: gallery.obstacle_2d(30), "by name: size, shifted$"),
-    "no problem": (lambda: certify(None, [1.0]), "got NoneType$"),
-    "a limit of a step": (
-        lambda: prepare(LCP([[1.0]], [1.0])).solve(max_seconds=1),
-        "options of a run belong to prepare",
-    ),
-    "method": (lambda: solve(LCP([[1.0]], [1.0]), method="psor"), "did you mean algorithm=…"),
-    "a positional bound": (
-        lambda: BoundedLeastSquares(np.eye(2), [1, 1], (0, 1)),
-        r"too many positional arguments; write BoundedLeastSquares\(A, b, lower=…, upper=…",
-    ),
-    "bounds of an LCP": (lambda: LCP([[1.0]], [1.0], 0, 1), r"write LCP\(M, q, lower=…, upper=…"),
-    "a word of another package": (
-        lambda: QuadraticProgram(np.eye(2), q=[1, 1]),
-        r"missing a required argument: 'c'; write QuadraticProgram\(P, c, ",
-    ),
-    "a misspelled name": (
-        lambda: LCP([[1.0]], [1.0], uper=1),
-        r"got an unexpected keyword argument 'uper'; did you mean 'upper'\?",
-    ),
-    "no matrix without a shape": (
-        lambda: BoundedLeastSquares([2.0], [1.0]),
-        r"A must be a real matrix, got shape \(1,\)",
-    ),
-    "a path by another name": (lambda: permits().value("prmit", 1.0), "give one of permit"),
-}
 
 
 def permits() -> Any:
@@ -217,12 +116,44 @@ def permits() -> Any:
     return trace(problem, along=theta, start=0.0, stop=2.0)
 
 
-@pytest.mark.parametrize("mistake", MESSAGES)
-def test_a_mistake_is_answered_by_the_next_step(mistake):
+@refusals(r"""
+FrictionalContact((2.0, *SPACE), [0, 0, -1.0], 0.5)
+    → must be square, got shape \(\); of masses it is np.diag\(masses\)
+FrictionalContact((np.ones(3), *SPACE), [0, 0, -1.0], 0.5) → got shape \(3,\); of masses it is np.diag\(masses\)
+FrictionalContact(np.eye(3), np.zeros((4, 3)), 0.5) → for many problems use FrictionalContact\.worlds
+solve(FrictionalContact.worlds(np.eye(3), -np.ones((4, 3)), 0.5)) → write solve_batch\(…\)
+prepare(LCP([[1.0]], [1.0])).solve([1.0]) → data have names: write step.solve\(q=…\)
+prepare(FrictionalContact(np.eye(3), [-1.0, 0.0, 0.0], 0.5)).solve([1.0]) → write step.solve\(b=…\)
+prepare(LCP([[1.0]], [1.0])).solve(warm=np.zeros(2)) → warm must be True or False
+prepare(LCP([[1.0]], [1.0])).solve(warm_start=True) → known: .*, warm
+prepare(QuadraticProgram(np.eye(2), [1, 1]), max_second=1) → did you mean 'max_seconds'
+march(FrictionalContact(np.eye(3), [-1.0, 1.0, 0.0], 0.4), [[-1.0, 1.0, 0.0]])
+    → needs an array as propagator.* call step.solve\(b=…\) .* in a loop
+optimal(cp.Problem(cp.Minimize(ONE**2)), over=[ONE]).gap() → have no values; solve the problem first
+complements(ONE, ONE + 1).violation() → have no values; solve first
+FrictionalContact(np.eye(4), np.ones(4), [0.5], dimension=4)
+    → dimension, the rows of a contact, must be 3, or 2 in the plane, got 4
+certify(QuadraticProgram(np.eye(1), [1.0])) → write certify.program, x.
+solve(LCP([[1.0]], [1.0]), prove=True) → prove=True needs an objective
+prepare(QuadraticProgram(np.eye(2), [1, 1])).solve(q=[1, 2]) → step.solve takes no q; the linear term is called c
+FrictionalContact.worlds(np.eye(3), [[1.0, 0.0, 0.0]]) → write FrictionalContact\.worlds\(W, b, friction
+derivative("text") → got str$
+gallery.binomial_put(100.0, dividend=0.03) → binomial_put: missing .*'strike'; write binomial_put\(spot, strike=…,
+gallery.obstacle_2d(30) → by name: size, shifted$
+certify(None, [1.0]) → got NoneType$
+prepare(LCP([[1.0]], [1.0])).solve(max_seconds=1) → options of a run belong to prepare
+solve(LCP([[1.0]], [1.0]), method="psor") → did you mean algorithm=…
+BoundedLeastSquares(np.eye(2), [1, 1], (0, 1))
+    → too many positional arguments; write BoundedLeastSquares\(A, b, lower=…, upper=…
+LCP([[1.0]], [1.0], 0, 1) → write LCP\(M, q, lower=…, upper=…
+QuadraticProgram(np.eye(2), q=[1, 1]) → missing a required argument: 'c'; write QuadraticProgram\(P, c,
+LCP([[1.0]], [1.0], uper=1) → got an unexpected keyword argument 'uper'; did you mean 'upper'\?
+BoundedLeastSquares([2.0], [1.0]) → A must be a real matrix, got shape \(1,\)
+permits().value("prmit", 1.0) → give one of permit
+""")
+def test_a_mistake_is_answered_by_the_next_step(call, words):
     """No raw error of Python: the message has the value, the need and the call."""
-    call, words = MESSAGES[mistake]
-    with pytest.raises(LCPError, match=words):
-        call()
+    assert_refused(call, words, globals())
 
 
 def test_a_mistake_inside_of_the_user_s_function_stays_a_mistake_of_python():

@@ -121,14 +121,6 @@ def test_parameters_dpp_or_not():
         )
 
 
-def test_parameter_without_value_is_named():
-    """A parameter that has no value is named in the error."""
-    c = cp.Parameter(3, name="load")
-    x = cp.Variable(3)
-    with pytest.raises(UnsupportedModel, match="load"):
-        model(complements(x >= 0, M @ x + c >= 0))
-
-
 def test_second_solve_starts_from_the_first():
     """A repeated solve begins at the present values; warm_start=False does not."""
     x = cp.Variable(3)
@@ -219,6 +211,9 @@ model(pair_of(cp.Variable((2, 2), PSD=True))) → PSD
 model(with_other_bounds(cp.Variable(3, nonneg=True))) → other bounds
 model(complements(cp.SOC(x[0], x[1:]), x >= 0)) → a cone, and the other is
 model(complements(box(x, 0, 1), x == 1)) → needs an expression
+model(complements(box(x, 0, 1), x - 3 >= 0)) → F instead of F >= 0
+model(complements(x >= 0, M @ x + cp.Parameter(3, name='load') >= 0)) → load
+model(complements(1e-200 * x[0] >= 1e200, 1e200 * x[0] - 1 >= 0)) → bound of 1e\+200 <= 1e-200 [*@] .* is .*overflows
 """)
 def test_models_beyond_complementarity_are_refused(call, words):
     """Models that are not complementarity problems raise errors with the remedy."""
@@ -243,37 +238,6 @@ def test_rows_and_bounds_without_a_pair_are_taken_with_any_objective(goal):
     assert excluded.status == cp.INFEASIBLE
     with pytest.raises(UnsupportedModel, match="has no pair"):
         LCP.from_cvxpy(cp.Problem(cp.Minimize(0), [pair, z >= 0.2]))
-
-
-def test_an_objective_states_no_single_lcp():
-    """LCP.from_cvxpy rejects an objective with complementarity, and the message names solve."""
-    x = cp.Variable(3, name="x")
-    with pytest.raises(
-        UnsupportedModel,
-        match=r"objective sum\(x\).*solve\(method=\"LCP\"\).* best of all solutions",
-    ):
-        LCP.from_cvxpy(cp.Problem(cp.Minimize(cp.sum(x)), [pair_of(x)]))
-
-
-def test_a_bound_beyond_the_doubles_is_refused_by_its_side():
-    """The side that states it is named."""
-    x = cp.Variable(name="x")
-    problem = cp.Problem(cp.Minimize(0), [complements(1e-200 * x >= 1e200, 1e200 * x - 1 >= 0)])
-    with pytest.raises(UnsupportedModel, match=r"bound of 1e\+200 <= 1e-200 [*@] x is .*overflows"):
-        problem.solve(method="LCP")
-
-
-@pytest.mark.full
-def test_the_method_is_known_after_a_modeling_name():
-    """The first use of a name for models registers method="LCP", and no import hook remains."""
-    code = """
-import sys
-before = list(sys.meta_path)
-import cvxpy as cp
-from lcp_plugin import complements
-print('LCP' in cp.Problem.REGISTERED_SOLVE_METHODS, sys.meta_path == before)
-"""
-    assert printed_by(code) == "True True"
 
 
 @pytest.mark.quick(1)
@@ -507,13 +471,6 @@ def test_what_is_meant_is_not_warned_of(state):
     assert cp.Problem(cp.Minimize(0), [complements(free, free - 1)]).solve(method="LCP") == 0.0
 
 
-def test_an_inequality_opposite_two_bounds_is_refused():
-    """F >= 0 with a box would be violated at the upper bound; the error recommends F."""
-    x = cp.Variable(2)
-    with pytest.raises(UnsupportedModel, match="F instead of F >= 0"):
-        model(complements(box(x, 0, 1), x - 3 >= 0))
-
-
 def test_upper_bound_opposite_an_expression_has_the_sign_of_the_readme():
     """complements(x <= 1, F): at the upper bound F ≤ 0; so with any multiple of x, and for violation()."""
     for side in (lambda x: x <= 1, lambda x: 3 - 3 * x >= 0):
@@ -524,14 +481,6 @@ def test_upper_bound_opposite_an_expression_has_the_sign_of_the_readme():
         assert pair.violation() <= 1e-9
     with pytest.raises(UnsupportedModel, match="has no sign"):
         model(complements(cp.sum(x) + 2 * cp.square(x) >= 0, x - 3))
-
-
-def test_a_bound_is_a_number_or_a_parameter():
-    """A variable, a text, NaN or a complex number as a bound raises an error at once."""
-    x, y = cp.Variable(2), cp.Variable(value=0.5)
-    for wrong in (y, "a", np.nan, 1j):
-        with pytest.raises(UnsupportedModel, match="bound"):
-            model(complements(box(x, wrong, 2), x - 1))
 
 
 def test_parameters_of_a_box_belong_to_the_problem():
@@ -551,6 +500,12 @@ p.solve(method='LCP', nlp=True) → has no option nlp
 cp.Problem(cp.Minimize(cp.sum(x)), p.constraints).solve(method='LCP', algorithm='newton') → newton.*leave it out
 p.solve(method='LCP', solver='OSQP') → solver
 LCP.from_cvxpy(3) → cvxpy problem is needed, got int
+LCP.from_cvxpy(cp.Problem(cp.Minimize(cp.sum(x)), [pair_of(x)]))
+    → objective .*sum.*solve\(method=\"LCP\"\).* best of all solutions
+model(complements(box(x, cp.Variable(value=0.5), 2), x - 1)) → bound
+model(complements(box(x, 'a', 2), x - 1)) → bound
+model(complements(box(x, np.nan, 2), x - 1)) → bound
+model(complements(box(x, 1j, 2), x - 1)) → bound
 complements(None, x) → None
 complements(x >= 0, -np.ones(3) >= 0) → Booleans, \[False False False\].*Constant
 complements([True, False, True], x) → Booleans

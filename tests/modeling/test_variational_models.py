@@ -8,8 +8,9 @@ from typing import Any
 import cvxpy as cp
 import numpy as np
 import pytest
+from tools.refusals import assert_refused, refusals
 
-from lcp_plugin import LCPError, box, complements, derivative, optimal, variational
+from lcp_plugin import box, complements, derivative, optimal, variational
 
 M, Q = np.array([[2.0, 1.0], [-1.0, 2.0]]), np.array([-8.0, -6.0])
 
@@ -149,21 +150,14 @@ def test_the_constraint_is_copied_and_printed():
 X = cp.Variable(2)
 
 
-@pytest.mark.parametrize(
-    ("call", "words"),
-    [
-        (lambda: variational(M @ X), r"variational\(F, over=\[x\]\)"),
-        (lambda: variational(M[0] @ X, over=[X]), r"got F of \(\) and over of \(2,\)"),
-        (lambda: variational(M @ X, over=[X], G=[[1, 1]], h=[3]), r"constraints=\[G @ x <= h"),
-        (lambda: variational(M @ X, over=[X], constraints=3), r"a list as \[G @ x <= h\]"),
-        (
-            lambda: variational(X, over=[X], constraints=[complements(X >= 0, X + 1 >= 0)]),
-            "equilibrium",
-        ),
-        (lambda: variational(X[:1], over=[cp.Variable(1, integer=True)]), "relax it"),
-    ],
-)
+@refusals(r"""
+variational(M @ X) → variational\(F, over=\[x\]\)
+variational(M[0] @ X, over=[X]) → got F of \(\) and over of \(2,\)
+variational(M @ X, over=[X], G=[[1, 1]], h=[3]) → constraints=\[G @ x <= h
+variational(M @ X, over=[X], constraints=3) → a list as \[G @ x <= h\]
+variational(X, over=[X], constraints=[complements(X >= 0, X + 1 >= 0)]) → equilibrium
+variational(X[:1], over=[cp.Variable(1, integer=True)]) → relax it
+""")
 def test_a_wrong_call_is_told_what_to_write(call, words):
     """An error with the right call."""
-    with pytest.raises(LCPError, match=words):
-        call()
+    assert_refused(call, words, globals())

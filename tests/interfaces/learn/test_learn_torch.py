@@ -10,13 +10,13 @@ import pytest
 import scipy.sparse as sp
 from inputs.planted import planted, planted_worlds
 from inputs.stacked_programs import differentiable_programs
+from tools.refusals import assert_refused, refusals
 
 torch = pytest.importorskip("torch")
 
 
 import lcp_plugin.interfaces.learn.torch as layers  # noqa: E402
 from lcp_plugin import (  # noqa: E402
-    LCP,
     InvalidProblem,
     NotConverged,
     UnsuitableProblem,
@@ -58,18 +58,6 @@ def test_gradients_are_those_of_differences(symmetric, shared):
     """torch.autograd.gradcheck in M, q, lower and upper, with boxes, half-lines and free rows."""
     data = leaves(*planted(4, 5, 1, symmetric=symmetric, shared=shared, fixed=0.0))
     assert torch.autograd.gradcheck(lcp_layer, data)
-
-
-def test_gradients_are_those_of_each_problem():
-    """Gradients for a single problem without batch axes agree with the derivative of its Result."""
-    M, q, lower, upper = (array[0] for array in planted(1, 12, 3, symmetric=False))
-    tensors = leaves(M, q, lower, upper)
-    lcp_layer(*tensors).sum().backward()
-    own = derivative(solve(LCP(M, q, lower=lower, upper=upper))).vjp(np.ones(12))
-    for tensor, gradient in zip(
-        tensors, (own.M.toarray(), own.q, own.lower, own.upper), strict=True
-    ):
-        assert np.allclose(tensor.grad.numpy(), gradient, rtol=1e-12, atol=1e-13)
 
 
 def test_axes_in_front_broadcast():
@@ -175,24 +163,22 @@ def test_torch_func_takes_gradients_and_no_vmap():
 EYE, ONES = np.eye(2), np.ones(2)
 
 
-@pytest.mark.parametrize(
-    ("call", "message"),
-    [
-        (lambda t: (t(EYE), t(ONES).float()), r"q must be a tensor of float64, .*; write q.d"),
-        (
-            lambda t: (t(EYE).to_sparse(), t(ONES)),
-            r"M must be dense, got torch.sparse_coo.*M.to_dense\(\), or give a scipy array",
-        ),
-        (lambda t: (t(EYE).to("meta"), t(ONES)), "M must be on the CPU, got meta"),
-        (lambda t: (EYE, 1j * ONES), "q must be an array of real numbers, got complex"),
-        (lambda t: (t(EYE), t(np.ones((3, 2))), t(np.zeros((4, 2)))), "must broadcast, got M"),
-        (lambda t: (t(EYE), t(ONES), t(np.zeros(3))), "lower must be .* the length of q, 2"),
-    ],
-)
-def test_what_is_refused(call, message):
+@refusals(r"""
+lcp_layer(t(EYE), t(ONES).float()) → q must be a tensor of float64, .*; write q.d
+lcp_layer(t(EYE).to_sparse(), t(ONES)) → M must be dense, got torch.sparse_coo.*M.to_dense\(\), or give a scipy array
+lcp_layer(t(EYE).to("meta"), t(ONES)) → M must be on the CPU, got meta
+lcp_layer(EYE, 1j * ONES) → q must be an array of real numbers, got complex
+lcp_layer(t(EYE), t(np.ones((3, 2))), t(np.zeros((4, 2)))) → must broadcast, got M
+lcp_layer(t(EYE), t(ONES), t(np.zeros(3))) → lower must be .* the length of q, 2
+""")
+def test_what_is_refused(call, words):
     """Other types, devices, layouts and shapes raise errors with the argument and the remedy."""
-    with pytest.raises(InvalidProblem, match=message):
-        lcp_layer(*call(lambda array: torch.tensor(array, dtype=torch.float64)))
+    assert_refused(
+        call,
+        words,
+        {**globals(), "t": lambda array: torch.tensor(array, dtype=float)},
+        InvalidProblem,
+    )
 
 
 def test_contact_has_the_gradients_of_differences():

@@ -2,12 +2,11 @@
 
 import doctest
 import pickle
-from functools import partial
 
 import numpy as np
 import pytest
 from inputs.planted import planted
-from scipy.sparse import csr_array
+from tools.refusals import assert_refused, refusals
 
 jax = pytest.importorskip("jax")
 
@@ -241,32 +240,24 @@ def test_slacks_of_single_precision_arrays_are_double():
     np.testing.assert_allclose(found.w, [[0.0, 1.0 + 1e-9]], rtol=0, atol=1e-15)
 
 
-@pytest.mark.parametrize(
-    ("use", "error", "words"),
-    [
-        (lambda M, q: jax.jit(solve_batch)(M, q), InvalidProblem, "there call solve_lcp"),
-        (lambda M, q: solve_batch(M, q[:1]), InvalidProblem, "q must have shape"),
-        (lambda M, q: solve_lcp(np.eye(129), np.ones(129)), InvalidProblem, "1 ≤ n ≤ 128"),
-        (lambda M, q: solve_lcp(M, 1j * q), InvalidProblem, "got complex"),
-        (lambda M, q: solve_batch(1j * M, q), InvalidProblem, "got complex"),
-        (lambda M, q: solve_batch(M, 1j * q), InvalidProblem, "got complex"),
-        (
-            lambda M, q: jax.jit(partial(solve_batch, LCP(np.eye(2), np.ones(2))))(q),
-            InvalidProblem,
-            "q must have shape .* traced array",
-        ),
-        (lambda M, q: solve_lcp(LCP(M, q), q), InvalidProblem, "M must be an array"),
-        (lambda M, q: solve_lcp(csr_array(M), q), InvalidProblem, r"use \.toarray"),
-        (lambda M, q: solve_lcp(M, q, 1.0, 0.0), InvalidProblem, "lower exceeds upper"),
-        (lambda M, q: solve_lcp(M, q, "a"), InvalidProblem, "lower must be an array"),
-        (lambda M, q: solve_lcp(M, q, tolerance="a"), InvalidOption, "tolerance must be"),
-        (lambda M, q: solve_lcp(M), InvalidOption, "missing"),
-        (lambda M, q: solve_lcp(M, q, lowr=0), InvalidOption, "did you mean 'lower'"),
-        (lambda M, q: jax.jit(partial(lcp_layer, M, tolerance=-1.0))(q), InvalidOption, "got -1"),
-        (lambda M, q: lcp_layer(M, q, foo=1), InvalidOption, "no option 'foo'"),
-    ],
-)
-def test_what_arrays_of_jax_do_not_have_is_refused(use, error, words):
+@refusals(r"""
+jax.jit(solve_batch)(M, q) → InvalidProblem: there call solve_lcp
+solve_batch(M, q[:1]) → InvalidProblem: q must have shape
+solve_lcp(np.eye(129), np.ones(129)) → InvalidProblem: 1 ≤ n ≤ 128
+solve_lcp(M, 1j * q) → InvalidProblem: got complex
+solve_batch(1j * M, q) → InvalidProblem: got complex
+solve_batch(M, 1j * q) → InvalidProblem: got complex
+jax.jit(lambda q: solve_batch(LCP(np.eye(2), np.ones(2)), q))(q) → InvalidProblem: q must have shape .* traced array
+solve_lcp(LCP(M, q), q) → InvalidProblem: M must be an array
+solve_lcp(sp.csr_array(M), q) → InvalidProblem: use \.toarray
+solve_lcp(M, q, 1.0, 0.0) → InvalidProblem: lower exceeds upper
+solve_lcp(M, q, "a") → InvalidProblem: lower must be an array
+solve_lcp(M, q, tolerance="a") → InvalidOption: tolerance must be
+solve_lcp(M) → InvalidOption: missing
+solve_lcp(M, q, lowr=0) → InvalidOption: did you mean 'lower'
+jax.jit(lambda q: lcp_layer(M, q, tolerance=-1.0))(q) → InvalidOption: got -1
+lcp_layer(M, q, foo=1) → InvalidOption: no option 'foo'
+""")
+def test_what_arrays_of_jax_do_not_have_is_refused(call, words):
     """Options of the host, arrays without values, other shapes, types and arguments; not by a raw error of JAX."""
-    with pytest.raises(error, match=words):
-        use(jnp.eye(2), -jnp.ones(2))
+    assert_refused(call, words, {**globals(), "M": jnp.eye(2), "q": -jnp.ones(2)})

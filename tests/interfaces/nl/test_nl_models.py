@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import cmath
 import math
-from collections.abc import Iterator
 from dataclasses import replace
 from typing import Any
 
@@ -15,6 +14,7 @@ import scipy.sparse as sp
 from hypothesis import given
 from hypothesis import strategies as st
 from tools.nl_files import content_of_rows
+from tools.refusals import assert_refused, refusals
 
 from lcp_plugin import LCP, QuadraticProgram, Status, UnsupportedModel, complements, solve
 from lcp_plugin.expressions.rows import Program
@@ -385,54 +385,6 @@ def test_quadratic_objectives_are_recognised(kind, sign):
         assert answer.duals[k] == pytest.approx((ends[0] - ends[1]) / 2e-4, abs=1e-6)  # type: ignore[operator]
 
 
-def refusals() -> Iterator[tuple[str, NLContent, str]]:
-    """Yield unsupported models: a name, the content, and a part of the message."""
-    x, y = X[:2]
-    yield (
-        "integers",
-        content_of(1, [x], is_integer=[True], names=["count"]),
-        "count is an integer variable",
-    )
-    for name, number in (("abs", 15), ("if", 35)):
-        yield (
-            name,
-            content_of(1, [(number, x, x)], row_names=["balance"]),
-            f"balance holds the operator {name}",
-        )
-    yield "unknown operator", content_of(1, [(99, x)]), "operator number 99"
-    yield "logarithm of −1", content_of(1, [("*", ("log", -1.0), x)]), "log of -1"
-    yield "division by 0", content_of(1, [("/", x, 0.0)]), "row 0 divides by zero"
-    yield "an infinite number", content_of(1, [("+", INFINITY, x)]), "which is not finite"
-    yield (
-        "nonlinear rows",
-        content_of(1, [("exp", x)], row_upper=[1.0], row_lower=[-INFINITY]),
-        "row 0 is nonlinear",
-    )
-    yield (
-        "nonlinear objective",
-        content_of(1, objective=("exp", x)),
-        "the objective is not quadratic",
-    )
-    twice = replace(paired(content_of(2, [x, y])), partners=np.array([1, 1]))
-    yield "two rows for one", twice, "0 equations and 1 unknown without a complementarity"
-    names = r"\(variable 0, variable 1\)"
-    yield (
-        "not square",
-        content_of(2, [("*", x, y)]),
-        f"1 equation and 2 unknowns without a complementarity {names}",
-    )
-    yield (
-        "crossed bounds",
-        content_of(1, [x], lower=[2.0], upper=[1.0]),
-        "variable 0: lower bound 2 >",
-    )
-    yield (
-        "0 == 1",
-        replace(paired(content_of(1, [x, 1.0])), **one_equation()),
-        "row 1 holds no unknown",
-    )
-
-
 def objective_of(content: NLContent) -> dict[str, Any]:
     """The objective of a content."""
     names = ("is_maximized", "objective_linear", "objective_trees")
@@ -449,13 +401,26 @@ def one_equation() -> dict[str, Any]:
     }
 
 
-@pytest.mark.parametrize(
-    ("content", "words"), [pytest.param(*row[1:], id=row[0]) for row in refusals()]
-)
-def test_what_is_not_taken_is_named(content, words):
+@refusals(r"""
+model_of(content_of(1, [X[0]], is_integer=[True], names=["count"])) → count is an integer variable
+model_of(content_of(1, [(15, X[0], X[0])], row_names=["balance"])) → balance holds the operator abs
+model_of(content_of(1, [(35, X[0], X[0])], row_names=["balance"])) → balance holds the operator if
+model_of(content_of(1, [(99, X[0])])) → operator number 99
+model_of(content_of(1, [("*", ("log", -1.0), X[0])])) → log of -1
+model_of(content_of(1, [("/", X[0], 0.0)])) → row 0 divides by zero
+model_of(content_of(1, [("+", INFINITY, X[0])])) → which is not finite
+model_of(content_of(1, [("exp", X[0])], row_upper=[1.0], row_lower=[-INFINITY])) → row 0 is nonlinear
+model_of(content_of(1, objective=("exp", X[0]))) → the objective is not quadratic
+model_of(replace(paired(content_of(2, X[:2])), partners=np.array([1, 1])))
+    → 0 equations and 1 unknown without a complementarity
+model_of(content_of(2, [("*", *X[:2])]))
+    → 1 equation and 2 unknowns without a complementarity \(variable 0, variable 1\)
+model_of(content_of(1, [X[0]], lower=[2.0], upper=[1.0])) → variable 0: lower bound 2 >
+model_of(replace(paired(content_of(1, [X[0], 1.0])), **one_equation())) → row 1 holds no unknown
+""")
+def test_what_is_not_taken_is_named(call, words):
     """Each error names the row or the variable, and the reason."""
-    with pytest.raises(UnsupportedModel, match=words):
-        model_of(content)
+    assert_refused(call, words, globals(), UnsupportedModel)
 
 
 def test_what_the_rounding_of_a_large_row_leaves_open_is_no_missed_sign():

@@ -18,6 +18,7 @@ from pyomo.mpec.tests.test_complementarity import CCTests as _PyomosForms
 from pyomo_checks import picture, residual
 from pyomo_models import MODELS
 from tools.processes import printed_by
+from tools.refusals import assert_refused, refusals
 
 import lcp_plugin.pyomo
 from lcp_plugin import LCPError
@@ -279,71 +280,39 @@ def no_variable(m: Any) -> None:
     m.e = pe.Constraint(expr=m.x <= 2)
 
 
-REFUSED: dict[str, tuple[Callable[[Any], None], str]] = {
-    "too few rows": (
-        made(lambda m: (m.x >= 0, m.x + m.y - 2 >= 0)),
-        "the model has 0 equations and 1 unknown without a complementarity (y)",
-    ),
-    "an objective beside": (
-        made(lambda m: (m.x >= 0, pe.atan(m.x) - 1 >= 0), cost=(lambda m: m.x**2,)),
-        "SCIP knows no atan",
-    ),
-    "an absolute value": (
-        made(lambda m: (m.x >= 0, abs(m.x) - 2 >= 0)),
-        "abs(x) is x + 2 s with s >= 0 complements x + s >= 0",
-    ),
-    "one bound": (
-        made(lambda m: (m.x >= 0, m.x)),
-        "c has 1 finite bound on its two sides together, and needs two",
-    ),
-    "a bound that varies": (
-        made(lambda m: (pe.inequality(0, m.x, m.y), m.x)),
-        "the bound y of c varies; state the difference",
-    ),
-    "strict": (
-        made(lambda m: (m.x > 0, m.x >= 2)),
-        "a side of c is strict, 0  <  x; write <= or >=",
-    ),
-    "a bounded equation": (
-        made(lambda m: (m.x >= 0, m.x == 2)),
-        "write complements(x >= 0, F >= 0)",
-    ),
-    "held twice": (
-        made(least(2), lambda m: (m.x >= 0, m.x >= 3)),
-        "the unknown for d: its pair holds no variable, or one that another pair holds",
-    ),
-    "fixed by an equation": (
-        made(least(2), e=lambda m: 3 * m.x == 6),
-        "an equation fixes x, which has a pair: set both bounds of x to 2 in that pair, and drop",
-    ),
-    "a disjunction": (
-        disjunction,
-        "Disjunct is not taken; the model has one, two; apply gdp.bigm or gdp.hull",
-    ),
-    "a derivative": (
-        derivative,
-        "DerivativeVar is not taken; the model has slope; discretise it, TransformationFactory(",
-    ),
-    "no variable": (no_variable, "no active constraint, objective or pair has a free variable"),
-    "not convex": (
-        made(e=lambda m: m.x + m.y <= 2, cost=(lambda m: m.x * m.y - m.x,)),
-        "convex: the smallest eigenvalue of P is -1",
-    ),
-}
-
-
-@pytest.mark.parametrize("name", REFUSED)
-def test_what_is_not_taken_is_refused_by_name(name):
-    """The message names the component and the remedy; the model is unchanged."""
-    build, words = REFUSED[name]
+def attempt(build: Callable[[Any], None]) -> None:
+    """Solve a model, which stays as it is; the message suggests no LCP, which would omit constraints and pairs."""
     m = model(build)
     before = picture(m)
     with pytest.raises(LCPError) as caught:
         SOLVER.solve(m)
-    assert words in str(caught.value)
-    # LCP(…) would omit the constraints and pairs of the model
     assert "LCP(" not in str(caught.value)
     assert picture(m) == before
+    raise caught.value
+
+
+@refusals(r"""
+attempt(made(lambda m: (m.x >= 0, m.x + m.y - 2 >= 0)))
+    → the model has 0 equations and 1 unknown without a complementarity \(y\)
+attempt(made(lambda m: (m.x >= 0, pe.atan(m.x) - 1 >= 0), cost=(lambda m: m.x**2,))) → SCIP knows no atan
+attempt(made(lambda m: (m.x >= 0, abs(m.x) - 2 >= 0))) → abs\(x\) is x \+ 2 s with s >= 0 complements x \+ s >= 0
+attempt(made(lambda m: (m.x >= 0, m.x))) → c has 1 finite bound on its two sides together, and needs two
+attempt(made(lambda m: (pe.inequality(0, m.x, m.y), m.x))) → the bound y of c varies; state the difference
+attempt(made(lambda m: (m.x > 0, m.x >= 2))) → a side of c is strict, 0  <  x; write <= or >=
+attempt(made(lambda m: (m.x >= 0, m.x == 2))) → write complements\(x >= 0, F >= 0\)
+attempt(made(least(2), lambda m: (m.x >= 0, m.x >= 3)))
+    → the unknown for d: its pair holds no variable, or one that another pair holds
+attempt(made(least(2), e=lambda m: 3 * m.x == 6))
+    → an equation fixes x, which has a pair: set both bounds of x to 2 in that pair, and drop
+attempt(disjunction) → Disjunct is not taken; the model has one, two; apply gdp\.bigm or gdp\.hull
+attempt(derivative) → DerivativeVar is not taken; the model has slope; discretise it, TransformationFactory\(
+attempt(no_variable) → no active constraint, objective or pair has a free variable
+attempt(made(e=lambda m: m.x + m.y <= 2, cost=(lambda m: m.x * m.y - m.x,)))
+    → convex: the smallest eigenvalue of P is -1
+""")
+def test_what_is_not_taken_is_refused_by_name(call, words):
+    """The message names the component and the remedy; the model is unchanged."""
+    assert_refused(call, words, globals())
 
 
 class PyomosOwn(_PyomosForms):  # type: ignore[misc]
@@ -379,21 +348,13 @@ def simple() -> Any:
     return model(lambda m: pair(m, m.x >= 0, pe.exp(m.x) - 2 >= 0))
 
 
-WRONG: dict[str, tuple[dict[str, Any], str]] = {
-    "keyword": (
-        {"timelimt": 1},
-        "lcp_plugin takes no keyword 'timelimt' in Pyomo; did you mean 'timelimit'?",
-    ),
-    "option": ({"options": {"tol": 1e-9}}, "takes no tol"),
-}
-
-
-@pytest.mark.parametrize(("given", "words"), WRONG.values(), ids=WRONG)
-def test_wrong_options_are_refused_in_words(given, words):
+@refusals(r"""
+SOLVER.solve(simple(), timelimt=1) → lcp_plugin takes no keyword 'timelimt' in Pyomo; did you mean 'timelimit'\?
+SOLVER.solve(simple(), options={'tol': 1e-9}) → takes no tol
+""")
+def test_wrong_options_are_refused_in_words(call, words):
     """A mistyped keyword, option or algorithm raises an error that suggests the nearest name."""
-    with pytest.raises(LCPError) as caught:
-        SOLVER.solve(simple(), **given)
-    assert words in str(caught.value)
+    assert_refused(call, words, globals())
 
 
 def test_options_of_the_solver_stay_and_those_of_a_solve_do_not():

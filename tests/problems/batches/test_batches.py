@@ -15,7 +15,6 @@ from lcp_plugin import (
     BoundedLeastSquares,
     ConeProblem,
     FrictionalContact,
-    InvalidOption,
     InvalidProblem,
     NonlinearProblem,
     QuadraticProgram,
@@ -106,10 +105,19 @@ solve_batch(*(np.ones((4, 3, 3)), np.ones((5, 3)))) → equally long, got q 5, M
 solve_batch(*(np.ones((4, 3, 3)), np.ones((4, 2)))) → q must have shape \(B, n\) or \(n,\), n = 3
 solve_batch(*(np.ones((4, 3, 3)), 1.0)) → q must have shape
 solve_batch(*(['M'], np.ones(3))) → real numbers|M must
+solve_batch([ONE], upper=1.0) → InvalidOption: with_q
+solve_batch([ONE], lower=3.0) → InvalidOption: with_q
+solve_batch([ONE], lower=[0.0]) → InvalidOption: with_q
+solve_batch([ONE], q=[1.0]) → InvalidOption: with_q
+solve_batch([ONE, (np.eye(1), [1.0])]) → list of LCPs|write LCP\(M, q\)
+solve_batch([(np.eye(2), np.ones(2)), (np.eye(3), np.ones(3))]) → list of LCPs|write LCP\(M, q\)
+solve_batch(ONE) → many problems, got one LCP
+solve_batch(iter([ONE])) → list of LCPs|write LCP\(M, q\)|many problems
+solve_batch(np.ones((4, 3, 3)), np.ones((3, 4))) → give its transpose
 """)
 def test_shapes_that_do_not_fit_are_refused(call, words):
-    """Before anything is solved, with what was given and what is needed."""
-    assert_refused(call, words, {}, InvalidProblem)
+    """Before anything is solved, with what was given and what is needed; what would be ignored is refused."""
+    assert_refused(call, words, {"ONE": LCP([[2.0]], [-5.0])}, InvalidProblem)
 
 
 def test_batches_of_nothing_of_one_and_of_sparse_matrices():
@@ -141,22 +149,6 @@ def test_warm_starts_of_a_batch():
                 alone = solve(LCP(M[k], q[k]), algorithm, z0=z0)
                 assert batch[k].status is alone.status
                 np.testing.assert_allclose(batch[k].z, alone.z, atol=1e-10)
-
-
-def test_lcps_bring_their_bounds_and_are_not_mixed_with_other_things():
-    """What would be ignored is refused, and so is a list of something else."""
-    drawn = LCP([[2.0]], [-5.0])
-    for options in ({"upper": 1.0}, {"lower": 3.0}, {"lower": [0.0]}, {"q": [1.0]}):
-        with pytest.raises(InvalidOption, match="with_q"):
-            solve_batch([drawn], **options)
-    pairs = [(np.eye(2), np.ones(2)), (np.eye(3), np.ones(3))]
-    for wrong in ([drawn, (np.eye(1), [1.0])], pairs, drawn, iter([drawn])):
-        with pytest.raises(
-            InvalidProblem, match=r"list of LCPs|write LCP\(M, q\)|many problems, got one LCP"
-        ):
-            solve_batch(wrong)
-    with pytest.raises(InvalidProblem, match="give its transpose"):
-        solve_batch(np.ones((4, 3, 3)), np.ones((3, 4)))
 
 
 def test_a_batch_is_a_sequence():

@@ -6,6 +6,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+from tools.refusals import assert_refused, refusals
 
 from lcp_plugin import (
     LCP,
@@ -209,29 +210,17 @@ def test_a_batch_is_its_instances_with_derivatives_and_a_file(contacts, tmp_path
     assert certify(one, batch.z[0]).verdict == "proved"
 
 
-@pytest.mark.parametrize(
-    ("call", "words"),
-    [
-        (lambda: FrictionalContact(np.eye(4), np.zeros(4), 0.5, equations=np.eye(4)), "normals"),
-        (lambda: FrictionalContact(np.eye(4), np.zeros(4), 0.5, equations=-1), "last rows of W"),
-        (lambda: FrictionalContact(np.eye(4), np.zeros(4), 0.5, equations=1.5), "last rows of W"),
-        (
-            lambda: FrictionalContact((np.eye(2), [[0, 1]], [[1, 0]]), [0, 0], 0.5, equations=1),
-            r"single row as \[\[…\]\]",
-        ),
-        (
-            lambda: FrictionalContact(
-                (np.eye(2), [[0, 1]], [[1, 0]]), [0, 0], 0.5, equations=[[1, 0, 0]]
-            ),
-            r"shape \(p, 2\)",
-        ),
-        (lambda: LCP.from_contacts(np.eye(4), 0.5, np.zeros(4), equations=1), "per contact"),
-    ],
-)
+@refusals(r"""
+FrictionalContact(np.eye(4), np.zeros(4), 0.5, equations=np.eye(4)) → normals
+FrictionalContact(np.eye(4), np.zeros(4), 0.5, equations=-1) → last rows of W
+FrictionalContact(np.eye(4), np.zeros(4), 0.5, equations=1.5) → last rows of W
+FrictionalContact((np.eye(2), [[0, 1]], [[1, 0]]), [0, 0], 0.5, equations=1) → single row as \[\[…\]\]
+FrictionalContact((np.eye(2), [[0, 1]], [[1, 0]]), [0, 0], 0.5, equations=[[1, 0, 0]]) → shape \(p, 2\)
+LCP.from_contacts(np.eye(4), 0.5, np.zeros(4), equations=1) → per contact
+""")
 def test_a_wrong_call_is_told_what_to_write(call, words):
     """InvalidProblem with the right form."""
-    with pytest.raises(InvalidProblem, match=words):
-        call()
+    assert_refused(call, words, {}, InvalidProblem)
 
 
 def test_contradictory_equations_without_a_contact_are_infeasible():

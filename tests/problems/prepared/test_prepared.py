@@ -11,11 +11,11 @@ import pytest
 from inputs.contact_families import FAMILIES as CONTACTS
 from inputs.published_problems import PROGRAMS, PublishedProgram
 from inputs.small_families import FAMILIES, draw
+from tools.refusals import assert_refused, refusals
 
 from lcp_plugin import (
     LCP,
     BoundedLeastSquares,
-    ConeProblem,
     FrictionalContact,
     InvalidOption,
     InvalidProblem,
@@ -208,33 +208,23 @@ def test_data_that_are_not_passed_are_the_prepared_problems():
     np.testing.assert_allclose(step.solve(q=other).z, [2.0 / 3.0, 7.0 / 3.0])
 
 
-def test_wrong_data_are_refused_as_by_the_constructor():
+@refusals(r"""
+prepare(LOOP).solve(q=np.array([np.nan, 0.0])) → InvalidProblem: q
+prepare(LOOP).solve(q=np.zeros(3)) → InvalidProblem: q
+prepare(LOOP).solve(M=np.full((2, 2), np.inf)) → InvalidProblem: M
+prepare(LOOP).solve(M=np.eye(3)) → InvalidProblem: M
+prepare(LOOP).solve(lower=2.0, upper=1.0) → InvalidProblem: lower
+prepare(PROGRAM).solve(c=np.array([np.nan, 0.0])) → InvalidProblem: c
+prepare(PROGRAM).solve(h=np.zeros(2)) → InvalidProblem: h
+prepare(PROGRAM).solve(lower=np.ones(2), upper=np.zeros(2)) → InvalidProblem: lower
+prepare(PROGRAM).solve(lower=np.full(2, np.nan)) → InvalidProblem: lower
+prepare(ConeProblem(np.eye(2), [1.0, 1.0], [("second_order", 2)])) → InvalidOption: prepare needs
+prepare(LOOP, tolerrance=1e-8) → InvalidOption: tolerance
+""")
+def test_wrong_data_are_refused_as_by_the_constructor(call, words):
     """A NaN, another shape, crossed bounds, and classes without a loop."""
-    step, of_program = (
-        prepare(LOOP),
-        prepare(QuadraticProgram(np.eye(2), [1.0, 1.0], [[1.0, 1.0]], [1.0])),
-    )
-    for call in (
-        {"q": np.array([np.nan, 0.0])},
-        {"q": np.zeros(3)},
-        {"M": np.full((2, 2), np.inf)},
-        {"M": np.eye(3)},
-        {"lower": 2.0, "upper": 1.0},
-    ):
-        with pytest.raises(InvalidProblem):
-            step.solve(**call)
-    for call in (
-        {"c": np.array([np.nan, 0.0])},
-        {"h": np.zeros(2)},
-        {"lower": np.ones(2), "upper": np.zeros(2)},
-        {"lower": np.full(2, np.nan)},
-    ):
-        with pytest.raises(InvalidProblem):
-            of_program.solve(**call)
-    with pytest.raises(InvalidOption, match="prepare needs"):
-        prepare(ConeProblem(np.eye(2), [1.0, 1.0], [("second_order", 2)]))
-    with pytest.raises(InvalidOption):
-        prepare(LOOP, tolerrance=1e-8)
+    program = QuadraticProgram(np.eye(2), [1.0, 1.0], [[1.0, 1.0]], [1.0])
+    assert_refused(call, words, {"LOOP": LOOP, "PROGRAM": program})
 
 
 def test_threads_may_share_a_solver():

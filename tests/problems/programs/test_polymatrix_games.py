@@ -7,6 +7,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+from tools.refusals import assert_refused, refusals
 
 from lcp_plugin import LCP, InvalidProblem, NotConverged, all_solutions, solve
 
@@ -87,21 +88,17 @@ def test_players_may_have_different_numbers_of_actions_and_payoffs_of_any_unit()
         np.testing.assert_allclose(first, second, atol=1e-7)
 
 
-@pytest.mark.parametrize(
-    ("game", "words"),
-    [
-        ({}, "numbered from 0"),
-        ({(0, 2): SAME}, "numbered from 0"),
-        ({(0, 0): SAME}, r"write \{\(0, 1\): …"),
-        ({(0, 1): SAME, (1, 2): np.ones((3, 2))}, "player 1 has 2 actions elsewhere"),
-        ({(0, 1): np.zeros((0, 2))}, "shape"),
-        (SAME, r"is \{\(0, 1\): …, \(1, 0\): …\}"),
-    ],
-)
-def test_a_wrong_game_is_told_what_to_write(game, words):
+@refusals(r"""
+LCP.from_game({}) → numbered from 0
+LCP.from_game({(0, 2): SAME}) → numbered from 0
+LCP.from_game({(0, 0): SAME}) → write \{\(0, 1\): …
+LCP.from_game({(0, 1): SAME, (1, 2): np.ones((3, 2))}) → player 1 has 2 actions elsewhere
+LCP.from_game({(0, 1): np.zeros((0, 2))}) → shape
+LCP.from_game(SAME) → is \{\(0, 1\): …, \(1, 0\): …\}
+""")
+def test_a_wrong_game_is_told_what_to_write(call, words):
     """InvalidProblem with the right form."""
-    with pytest.raises(InvalidProblem, match=words):
-        LCP.from_game(game)
+    assert_refused(call, words, {"SAME": SAME}, InvalidProblem)
 
 
 def test_a_point_without_actions_of_a_player_is_no_strategy():

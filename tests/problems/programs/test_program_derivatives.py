@@ -9,13 +9,13 @@ import numpy as np
 import pytest
 import scipy.sparse as sp
 from inputs.stacked_programs import differentiable_program
+from tools.refusals import assert_refused, refusals
 
 from lcp_plugin import (
     LCP,
     BoundedLeastSquares,
     FrictionalContact,
     InvalidOption,
-    InvalidProblem,
     QuadraticProgram,
     UnsuitableProblem,
     derivative,
@@ -126,25 +126,26 @@ def test_the_derivative_of_a_program_is_that_of_clarabel():
         agree(derivative(solve(QuadraticProgram(**data))), (ahead - behind) / 2e-5, d, 1e-5)
 
 
-def test_a_program_without_a_derivative_names_the_part():
-    """Several solutions, dependent rows, a status that is not SOLVED; names of the user appear."""
-    several = QuadraticProgram(
-        None, [-1.0, -1.0], [[1.0, 1.0]], [2.0], lower=0.0, names=["coal", "gas"]
-    )
-    with pytest.raises(UnsuitableProblem, match="several values: coal, gas"):
-        derivative(solve(several)).vjp([1.0, 0.0])
-    twice = QuadraticProgram(np.eye(2), [0.0, -1.0], A=[[1.0, 1.0], [2.0, 2.0]], b=[2.0, 4.0])
-    with pytest.raises(UnsuitableProblem, match=r"row 0 of A, row 1 of A; .*dependent"):
-        derivative(solve(twice)).jvp(db=[1.0, 1.0])
-    with pytest.raises(UnsuitableProblem, match="INFEASIBLE"):
-        derivative(solve(QuadraticProgram(np.eye(1), [0.0], [[1.0], [-1.0]], [0.0, -1.0])))
-    found = derivative(solve(QuadraticProgram(np.eye(2), [-1.0, 1.0], lower=0.0)))
-    with pytest.raises(InvalidOption, match="no option 'dqq'; known: dA, dG, dP, db"):
-        found.jvp(dqq=[1.0, 0.0])
-    with pytest.raises(InvalidProblem, match=r"dc must have shape \(2,\), got shape \(3,\)"):
-        found.jvp(dc=np.ones(3))
-    with pytest.raises(InvalidProblem, match="g must be finite"):
-        found.vjp([np.nan, 0.0])
+@refusals(r"""
+derivative(solve(several)).vjp([1.0, 0.0]) → UnsuitableProblem: several values: coal, gas
+derivative(solve(twice)).jvp(db=[1.0, 1.0]) → UnsuitableProblem: row 0 of A, row 1 of A; .*dependent
+derivative(solve(QuadraticProgram(np.eye(1), [0.0], [[1.0], [-1.0]], [0.0, -1.0]))) → UnsuitableProblem: INFEASIBLE
+found.jvp(dqq=[1.0, 0.0]) → InvalidOption: no option 'dqq'; known: dA, dG, dP, db
+found.jvp(dc=np.ones(3)) → InvalidProblem: dc must have shape \(2,\), got shape \(3,\)
+found.vjp([np.nan, 0.0]) → InvalidProblem: g must be finite
+derivative(solve(balanced)).vjp([1.0, 1.0]) → UnsuitableProblem: kink here: l1.0. active
+""")
+def test_a_program_without_a_derivative_names_the_part(call, words):
+    """Several solutions, dependent rows, another status, a penalty that a gradient balances; wrong changes."""
+    names = {
+        "several": QuadraticProgram(
+            None, [-1.0, -1.0], [[1.0, 1.0]], [2.0], lower=0.0, names=["coal", "gas"]
+        ),
+        "twice": QuadraticProgram(np.eye(2), [0.0, -1.0], A=[[1.0, 1.0], [2.0, 2.0]], b=[2.0, 4.0]),
+        "balanced": BoundedLeastSquares(np.eye(2), [1.0, 3.0], lower=-np.inf, l1=1.0),
+        "found": derivative(solve(QuadraticProgram(np.eye(2), [-1.0, 1.0], lower=0.0))),
+    }
+    assert_refused(call, words, names)
 
 
 @pytest.mark.parametrize("is_shared", [True, False])
@@ -233,14 +234,6 @@ def test_a_batch_of_least_squares_with_starts_has_the_derivatives_of_its_problem
     apart = [problem, BoundedLeastSquares(2.0 * problem.A, problem.b, lower=0)]
     with pytest.raises(InvalidOption, match="those by problem"):
         derivative(solve_batch(apart))
-
-
-def test_least_squares_name_their_parts():
-    """A penalty whose gradient it just balances is refused."""
-    with pytest.raises(UnsuitableProblem, match=r"kink here: l1.0. active"):
-        derivative(solve(BoundedLeastSquares(np.eye(2), [1.0, 3.0], lower=-np.inf, l1=1.0))).vjp(
-            [1.0, 1.0]
-        )
 
 
 def test_a_derivative_can_be_sent_to_another_process():

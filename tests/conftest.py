@@ -3,8 +3,6 @@
     python -m pytest -n 2           every test that is not marked ``full``
     python -m pytest --full -n 2    everything
 
-    python -m pytest --measure -n 2   also proposes marks for tables that take long
-
 The mark ``full`` is for tests that take seconds: benchmarks, campaigns, examples. The rows of a parametrized test are
 a table. Without ``--full``
 
@@ -45,10 +43,6 @@ os.environ.setdefault("OMP_NUM_THREADS", "1")
 EXAMPLES = {"few": (3, 30), "default": (6, 80), "many": (12, 150)}
 # Folders with tests of functions that are not public; core/test_floating_point_state.py calls those that are.
 INNER = {"core", "engines", "methods", "problems", "proofs", "systems"}
-LONG, SHARE = (
-    0.25,
-    0.07,
-)  # seconds of a table without a mark, and of one with the mark that --measure proposes
 # Doctests of seconds; tests/interfaces and tests/strategies have short ones of the same.
 SLOW = ("lcp_plugin.interfaces", "lcp_plugin.strategies.assert_solves")
 WARM_UP = pytest.StashKey["subprocess.Popen[bytes]"]()
@@ -57,9 +51,6 @@ WARM_UP = pytest.StashKey["subprocess.Popen[bytes]"]()
 def pytest_addoption(parser: pytest.Parser) -> None:
     """Offer --full."""
     parser.addoption("--full", action="store_true", help="run every test, with more examples each")
-    parser.addoption(
-        "--measure", action="store_true", help="propose marks for tables that take long"
-    )
 
 
 def pytest_configure(config: pytest.Config) -> None:
@@ -155,20 +146,3 @@ def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
         for k in spread[numbers[0] :] if numbers else ():
             if all(mark.args for mark in rows[k].iter_markers("quick")):
                 rows[k].add_marker("full")
-
-
-SECONDS: dict[str, dict[str, float]] = defaultdict(lambda: defaultdict(float))  # of tables and rows
-
-
-def pytest_runtest_logreport(report: pytest.TestReport) -> None:
-    """Add the seconds of a row, its fixtures included."""
-    SECONDS[report.nodeid.partition("[")[0]][report.nodeid] += report.duration
-
-
-def pytest_terminal_summary(terminalreporter: Any, config: pytest.Config) -> None:
-    """Propose marks after a run that measured the rows."""
-    for table, rows in SECONDS.items() if config.getoption("--measure") else ():
-        if len(rows) > 1 and (seconds := sum(rows.values())) > LONG:
-            number = max(1, int(SHARE * len(rows) / seconds))
-            words = f"{len(rows)} rows, {seconds:.2f} s: @pytest.mark.quick({number})"
-            terminalreporter.write_line(f"{table}  {words}")

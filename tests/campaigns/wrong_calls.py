@@ -1,16 +1,12 @@
-"""Call every public function with each usual mistake, print the messages, and count raw errors of Python.
+"""Calls of every public function with each usual mistake, for ``tests/house/test_wrong_calls.py``.
 
-    python tests/campaigns/wrong_calls.py
-
-A reader reads the messages once; 0 raw errors are required. Each call has the data of a small right call, of which one
+Each call has the data of a small right call, of which one
 argument is a list, a table, a column, whole numbers, of another shape, NaN, text or None, or the bounds are swapped or
 passed by position, or an argument is missing or superfluous.
 """
 
 from __future__ import annotations
 
-import sys
-import warnings
 from collections.abc import Callable, Iterator
 from typing import Any
 
@@ -18,7 +14,7 @@ import cvxpy as cp
 import numpy as np
 
 import lcp_plugin
-from lcp_plugin import LCP, LCPError, QuadraticProgram, solve
+from lcp_plugin import LCP, QuadraticProgram, solve
 
 M, Q = np.array([[2.0, 1.0], [1.0, 2.0]]), np.array([-5.0, 1.0])
 PROBLEM, PROGRAM = LCP(M, Q), QuadraticProgram(M, Q)
@@ -156,32 +152,3 @@ def calls() -> Iterator[tuple[str, Callable[[], Any]]]:
         if "lower" in named:
             swapped = {**named, "lower": named["upper"], "upper": named["lower"]}
             yield f"{name}, swapped bounds", lambda f=function, a=args, n=swapped: f(*a, **n)
-
-
-def main(shown: bool) -> int:
-    """Print each message once, with the first combination that raised it, and the counts; return the raw errors."""
-    count, accepted, raw, seen = 0, 0, [], set[str]()
-    for what, call in calls():
-        count += 1
-        try:
-            with warnings.catch_warnings():
-                warnings.simplefilter("ignore")
-                call()
-            accepted += 1
-            continue
-        except LCPError as error:
-            message = f"{type(error).__name__}: {error}"
-        except Exception as error:
-            message = f"RAW {type(error).__name__}: {error}"
-            raw.append(f"{what} → {message}")
-        if message not in seen and (shown or message.startswith("RAW")):
-            print(f"{what}\n    {message}")
-        seen.add(message)
-    print(
-        f"{count} combinations: {accepted} accepted, {len(seen)} messages, {len(raw)} raw Python errors"
-    )
-    return len(raw)
-
-
-if __name__ == "__main__":
-    sys.exit(bool(main("--raw" not in sys.argv)))

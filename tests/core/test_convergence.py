@@ -12,10 +12,9 @@ import scipy.sparse as sp
 from inputs import membranes
 from inputs.families import BOUNDED, MODULUS
 from inputs.planted import planted_lcp
-from inputs.textbook_scenes import scaling_trap
 
 from lcp_plugin import LCP, Certificate, Status, gallery, solve
-from lcp_plugin.algorithms import REGISTRY, create, paper_options
+from lcp_plugin.algorithms import REGISTRY, create
 
 ALL = ("auto", *REGISTRY)
 
@@ -133,18 +132,6 @@ def test_np_finishes_with_exact_zeros(name):
 
 
 # --- The scaling trap --------------------------------------------------------------------------------------
-
-
-def test_the_scaling_trap_catches_the_unscaled_method():
-    """Unscaled NPSOR(1.7) cycles near z*: no iterate of the first 300 has a small residual."""
-    trap = scaling_trap()
-    steps = create("npsor", paper_options("npsor", 1.7)).iterates(
-        trap.problem, np.array(trap.start, dtype=float)
-    )
-    residuals = [
-        Certificate.of(trap.problem, step.z).relative_residual for step in islice(steps, 300)
-    ]
-    assert min(residuals) > 1e-5
 
 
 # --- Automatic relaxation ----------------------------------------------------------------------------------

@@ -108,46 +108,6 @@ def test_sliding_contacts_are_solved_with_noise_on_loaded_rows(seed, noise):
     assert worst_violation(problem, solve(problem).require_solved().z) <= 1e-6
 
 
-@pytest.mark.quick(1)
-@pytest.mark.parametrize("seed", range(3))
-def test_a_new_keynesian_model_with_a_zero_bound_is_optimal(seed):
-    """The rate of interest follows its rule or is at its bound in each quarter."""
-    for quarters, shock in [
-        next(everyday.zero_bound_models(np.random.default_rng([seed, k]))) for k in range(3)
-    ]:
-        gap, inflation, rate = (cp.Variable(quarters + 1) for _ in range(3))
-        shocks = np.r_[shock, np.zeros(quarters - 1)]
-        rows = [
-            gap[:-1] == gap[1:] - (rate[:-1] - inflation[1:] - shocks),
-            inflation[:-1] == 0.9 * inflation[1:] + 0.3 * gap[:-1],
-            gap[-1] == 0,
-            inflation[-1] == 0,
-            complements(rate >= -0.005, rate - 1.5 * inflation >= 0),
-        ]
-        problem = cp.Problem(cp.Minimize(0), rows)
-        problem.solve(method="LCP")
-        assert problem.status == cp.OPTIMAL
-        above, rule = rate.value + 0.005, rate.value - 1.5 * inflation.value
-        np.testing.assert_allclose(np.minimum(above, rule), 0.0, atol=1e-9)
-        assert max(constraint.violation().max() for constraint in rows[:4]) <= 1e-9
-
-
-@pytest.mark.quick(2)
-@pytest.mark.filterwarnings("ignore:the solution may be inaccurate")
-@pytest.mark.parametrize("small", [1e-7, 1e-8, 1e-10])
-@pytest.mark.parametrize(
-    "function", [lambda x: cp.exp(x) - 1, lambda x: 1 - cp.exp(-x), lambda x: (1 + x) ** 3 - 1]
-)
-def test_a_smooth_equation_with_a_small_root_is_solved(function, small):
-    """The root of f(x) = 1e-10 is found although f cancels to its rounding level there."""
-    x = cp.Variable()
-    x.value = 0.0
-    problem = cp.Problem(cp.Minimize(0), [complements(x >= 0, function(x) - small >= 0)])
-    problem.solve(method="LCP")
-    assert problem.status in (cp.OPTIMAL, cp.OPTIMAL_INACCURATE)
-    assert abs((function(x) - small).value) <= 1e-12
-
-
 # --- Rounding noise changes no status --------------------------------------------------------------------------------
 
 

@@ -1,4 +1,4 @@
-"""Wrong calls raise errors of this package; tests/campaigns/wrong_calls.py prints the messages."""
+"""Wrong calls raise errors of this package."""
 
 from __future__ import annotations
 

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -129,12 +128,6 @@ def sliding_contacts(contacts: int, rng: Generator) -> tuple[LCP, Any]:
     z = np.concatenate([normal, friction.ravel(), slip])
     w = np.concatenate([open_speed, speed.ravel(), np.zeros(contacts)])
     return LCP(M, w - M @ z), z
-
-
-def zero_bound_models(rng: Generator) -> Iterator[tuple[int, float]]:
-    """Yield numbers of quarters and shocks of a New Keynesian model."""
-    while True:
-        yield int(rng.integers(3, 13)), -0.01 * float(rng.integers(1, 6))
 
 
 def put_on_two_assets(nodes: int, volatilities: tuple[float, float], correlation: float) -> LCP:

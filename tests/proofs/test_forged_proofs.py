@@ -12,6 +12,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+from campaigns.best_equilibria import undetected
 
 from lcp_plugin import (
     LCP,
@@ -229,23 +230,11 @@ def test_a_forged_proof_over_cones_is_refused():
 
 
 def test_a_forged_best_equilibrium_is_refused():
-    """With a piece of the tree missing, a larger bound, another point, another value."""
+    """With a piece of the tree missing, a larger bound, another point, another value, another status."""
     program = QuadraticProgram(np.eye(2), [-2.0, -1.0], lower=[0.0, 0.0])
     result = solve(EquilibriumProgram(program, [0], [1], 0.0, np.inf), prove=True)
     assert result.verify()
-    x = np.asarray(result.x)
-    forgeries = [
-        {"lower_bound": result.lower_bound + 0.1, "value": result.value + 0.1},
-        {"x": x + np.array([0.0, 0.1])},
-        {"x": np.array([-0.1, x[1]])},
-        {"value": result.value - 0.1},
-    ]
-    if len(result.tree) > 1:
-        forgeries += [
-            {"tree": result.tree[:k] + result.tree[k + 1 :]} for k in range(len(result.tree))
-        ]
-    for one in forgeries:
-        assert not replace(result, **one).verify(), one
+    assert undetected(result) == []
 
 
 @pytest.mark.parametrize("n", [17, 40])

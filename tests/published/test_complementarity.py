@@ -7,7 +7,7 @@ from typing import Any
 import cvxpy as cp
 import numpy as np
 import pytest
-import scipy.sparse as sp
+from applications.flows import paper
 from inputs.published_problems import COMPLEMENTARITY, FOLDER, errors_of_lcp, read
 
 from lcp_plugin import LCP, box, complements, load_problem, march, solve, solve_batch
@@ -72,18 +72,6 @@ def test_answers_are_those_published(name, way):
     assert abs(M @ (z - reference)).max() <= TOLERANCE * abs(of["q"]).max()
 
 
-def paper_matrix(example: int, side: int) -> sp.csr_array:
-    """The matrices of Kumar, Deepmala, Das, section 5, with delta = 4."""
-    ones, eye = np.ones(side - 1), sp.eye_array(side)
-    low, high = (-1.0, -1.0) if example == 1 else (-1.5, -0.5)
-    block = sp.diags_array([low * ones, np.full(side, 8.0), high * ones], offsets=[-1, 0, 1])
-    shifts = (
-        sp.diags_array([low * ones], offsets=[-1], shape=(side, side)),
-        sp.diags_array([high * ones], offsets=[1], shape=(side, side)),
-    )
-    return sp.csr_array(sp.kron(eye, block) + sp.kron(shifts[0] + shifts[1], eye))
-
-
 @pytest.mark.quick(11)
 @pytest.mark.parametrize(
     "way", ["auto", "msor", "npsor", "mgs", "npgs", "newton", "multigrid", "batch", "march"]
@@ -92,8 +80,8 @@ def paper_matrix(example: int, side: int) -> sp.csr_array:
 @pytest.mark.parametrize("example", [1, 2])
 def test_the_paper_s_answers(example, side, way):
     """The planted z = (1, 2, 1, 2, …) to 1e-6, by the methods of its tables and by ours."""
-    M, right = paper_matrix(example, side), np.tile([1.0, 2.0], side * side // 2)
-    q = -(M @ right)
+    case = paper(example, side)
+    M, q, right = case.M, case.q, case.answer
     if way == "batch":
         found = solve_batch(M, np.array([q, 2 * q])).z[1] / 2
     elif way == "march":

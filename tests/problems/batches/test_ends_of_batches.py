@@ -12,7 +12,6 @@ from lcp_plugin import (
     LCP,
     BoundedLeastSquares,
     FrictionalContact,
-    InvalidProblem,
     NonlinearProblem,
     QuadraticProgram,
     Status,
@@ -74,21 +73,6 @@ def test_the_results_of_a_batch_travel_between_processes(name):
         np.testing.assert_array_equal(one, other)
     np.testing.assert_array_equal(there.objective, here.objective)
     np.testing.assert_array_equal(there[1].x, here[1].x)
-
-
-def test_an_invalid_problem_raises_its_own_error_only_when_it_is_read():
-    """A NaN, an infeasible problem and an invalid program do not affect the others."""
-    q = Q.copy()
-    q[3] = np.nan
-    found = solve_batch(M, q)
-    assert found.status[3] is None
-    assert np.isnan(found.x[3]).all()
-    c = np.zeros((4, 3))
-    c[1] = np.inf
-    programs = solve_batch(PROGRAM, c)
-    assert [one is Status.SOLVED for one in programs.status] == [True, False, True, True]
-    with pytest.raises(InvalidProblem):
-        _ = programs[1]
 
 
 @pytest.mark.parametrize(

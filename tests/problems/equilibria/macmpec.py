@@ -12,9 +12,10 @@ not convex quadratic over affine pairs as stated, and some more:
 * data of many pages: flp4, portfl-i, qpec-100, qpec-200, monteiro, monteiroB, liswet1-100, liswet1-200;
 * TrafficSignalCycle, whose printed values no solution of the printed statement has: the least of TSC-1 is 54.9635, not
   45.15, and TSC-7 has no solution;
-* more of the same kinds: bard1m, bilevel1m, bilevel2m, ex9.1.2…9, ex9.2.2…9, jr2, kth1, kth2, qpec1, scale2…4, and
+* more of the same kinds: bard1m, bilevel1m, bilevel2m, ex9.1.2…9, ex9.2.2…9, jr2, kth1, kth2, qpec1, scale2…5, and
   scholtes4;
-* the same in other words: bard2m (bard2), ex9.1.10 (ex9.1.8), ex9.2.7 (ex9.2.1), nash1b…e (other starting points).
+* the same in other words: bard1 and ex9.2.7 (ex9.2.1), bard2m (bard2), ex9.1.10 (ex9.1.8), nash1b…e (other starting
+  points), scholtes3 (kth3).
 """
 
 from __future__ import annotations
@@ -65,23 +66,6 @@ def follower(gradient: Any, y: Any, offset: Any, Y: Any, rest: Any = 0.0) -> lis
     multipliers = cp.Variable(len(matrix))
     slack = np.array(offset, dtype=float) + rest + matrix @ y
     return [gradient == matrix.T @ multipliers, complements(multipliers >= 0, slack >= 0)]
-
-
-# --- J. F. Bard, *Convex two-level optimization* (1988) ---
-
-
-def bard1_slacks(x: Any, y: Any) -> list[Any]:
-    return [3 * x - y - 3, -x + 0.5 * y + 4, -x - y + 7]
-
-
-@published(17.0)
-def bard1() -> cp.Problem:
-    x, y, l = cp.Variable(nonneg=True), cp.Variable(nonneg=True), cp.Variable(3)
-    return least(
-        (x - 5) ** 2 + (2 * y + 1) ** 2,
-        2 * (y - 1) - 1.5 * x + l[0] - 0.5 * l[1] + l[2] == 0,
-        [complements(l[i] >= 0, slack >= 0) for i, slack in enumerate(bard1_slacks(x, y))],
-    )
 
 
 MIX = np.array([[0.4, 0.7], [0.6, 0.3]])  # what two products take of two goods
@@ -186,15 +170,6 @@ def ex9_1_1() -> cp.Problem:
         l[0] + 3 * l[1] + l[2] - l[3] + l[4] == 1,
         2 * l[1] == 3 * l[2],
         complements(l >= 0, slack + np.array([2, -8, 2, 0, 0]) * x >= 0),
-    )
-
-
-@published(-1.0)
-def ex9_1_5() -> cp.Problem:
-    x, y = cp.Variable(nonneg=True), cp.Variable(2, nonneg=True)
-    Y = [[-1, 0], [0, -1], [-1, -1], [1, 0], [0, 1]]
-    return least(
-        -x + 10 * y[0] - y[1], follower(-1, y, [1, 1, 1, 0, 0], Y, np.array([-1, -1, 0, 0, 0]) * x)
     )
 
 
@@ -324,17 +299,6 @@ def scaled(a: float, b: float, c: float, d: float) -> cp.Problem:
 @published(1.0)
 def scale1() -> cp.Problem:
     return scaled(100, 1, 1, 1)
-
-
-@published(100.0)
-def scale5() -> cp.Problem:
-    return scaled(10, 10, 10, 10)
-
-
-@published(0.5)
-def scholtes3() -> cp.Problem:
-    x, y = cp.Variable(), cp.Variable()
-    return least(((x - 1) ** 2 + (y - 1) ** 2) / 2, complements(x >= 0, y >= 0))
 
 
 @published(1.0)

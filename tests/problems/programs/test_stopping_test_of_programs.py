@@ -468,10 +468,15 @@ def test_a_coefficient_of_noise_excuses_no_violation(k):
 
 @pytest.mark.parametrize(("side", "far"), [(1.0, 1e15), (0.01, 1e12)])
 def test_a_large_side_excuses_no_row_without_entries(side, far):
-    """0 x = 1 next to x₁ + x₂ ≤ 1e15 is neither SOLVED nor proved."""
+    """0 x = 1 next to x₁ + x₂ ≤ 1e15, and 0 x ≤ −.4 next to one whose rounding is .1, are neither SOLVED nor proved."""
     program = QuadraticProgram(np.eye(2), [1, 1], [[1, 1]], [far], [[0, 0]], [side])
     assert not solve(program).is_solved
     assert certify(program, [-1.0, -1.0]).verdict == "disproved"
+    limited = QuadraticProgram(
+        None, [1, 1], [[0, 0], [-1, -1]], [-0.4 * side, -far], lower=0, upper=2 * far
+    )
+    assert not solve(limited).is_solved
+    assert certify(limited, [far / 2, far / 2]).verdict != "proved"
 
 
 @pytest.mark.parametrize(("side", "is_right"), [(-1e-16, True), (-1e-9, False)])

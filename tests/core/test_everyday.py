@@ -219,13 +219,6 @@ def test_integer_problems_in_units_far_apart_are_not_solved_falsely():
 # --- Single inputs ---------------------------------------------------------------------------------------------------
 
 
-def test_a_wall_of_22_contacts_takes_no_search():
-    """A wall with more contacts than any enumeration of active sets can visit is solved."""
-    contacts = everyday.wall(3, 3, 0.3)
-    assert len(contacts.normals) == 22
-    assert solve(contacts.lcp()).is_solved
-
-
 def test_a_problem_of_the_largest_numbers_is_solved():
     """Terms that overflow when they are added do not refuse z = 1."""
     result = solve(LCP(np.diag([1e308, 1e308]), [-1e308, -1e308]))

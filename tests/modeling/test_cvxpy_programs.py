@@ -101,33 +101,6 @@ def test_extra_stats_have_one_shape(status, how):
         assert status in told.explain()
 
 
-def refused() -> dict[str, tuple[Any, str]]:
-    x, k, S = cp.Variable(2), cp.Variable(2, integer=True), cp.Variable((2, 2), PSD=True)
-    return {
-        "norm": (
-            cp.Problem(cp.Minimize(cp.sum(x)), [cp.norm(x) <= 1]),
-            "<= 1.0 is not piecewise linear",
-        ),
-        "exp": (
-            cp.Problem(cp.Minimize(cp.sum(cp.exp(x)))),
-            "the objective .*exp.* is not quadratic",
-        ),
-        "cone": (cp.Problem(cp.Minimize(x[0]), [cp.SOC(x[0], x)]), "is a SOC"),
-        "integer": (cp.Problem(cp.Minimize(cp.sum_squares(k - 0.4))), "is integer"),
-        "semidefinite": (cp.Problem(cp.Minimize(cp.trace(S)), [S[0, 1] == 1]), "is PSD"),
-    }
-
-
-@pytest.mark.parametrize("name", refused())
-def test_a_refusal_has_its_reason(name):
-    """A cone program or one with integers is refused by the name of what is neither quadratic nor linear."""
-    problem, reason = refused()[name]
-    with pytest.raises(SolverError, match=reason):
-        problem.solve(method="LCP")
-    with pytest.raises(SolverError):
-        problem.solve(solver=QPSolver)
-
-
 def test_a_quadratic_objective_outside_of_cvxpys_rules_is_told_two_ways():
     """DCPError names optimal(…), which solves it, and QuadraticProgram; another objective has cvxpy's text alone."""
     x, L = cp.Variable(2), np.diag([2.0, 1.0])

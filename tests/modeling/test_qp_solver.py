@@ -195,38 +195,26 @@ def test_a_constraint_that_cannot_hold_is_named():
     assert "inconsistent, abs(x) <= -1.0" in problem.solver_stats.extra_stats.explain()
 
 
-def integer_program() -> Any:
-    return cp.Problem(cp.Minimize(cp.sum_squares(cp.Variable(2, integer=True) - 0.4)))
+def refused() -> dict[str, Any]:
+    x, k, z = cp.Variable(2), cp.Variable(2, integer=True), cp.Variable(2, complex=True)
+    S, curve = cp.Variable((2, 2), PSD=True), cp.quad_form(x, cp.psd_wrap(-np.eye(2)))
+    programs = {
+        r"<= 1.0 is not piecewise linear.*CLARABEL": (cp.sum(x), cp.norm(x) <= 1),
+        r"objective Pnorm\(.* is not quadratic or piecewise linear.*CLARABEL": (cp.norm(x), x == 1),
+        r"is a SOC\. Choose": (x[0], cp.SOC(x[0], x)),
+        r"is integer\. .*HIGHS": (cp.sum_squares(k - 0.4), x == 1),
+        r"is PSD\. Choose": (cp.trace(S), S[0, 1] == 1),
+        r"is complex; take .*CLARABEL": (cp.sum(cp.abs(z)), z == 1),
+        r"is not convex: the smallest eigenvalue of P is -2": (curve, x <= 1),
+    }
+    return {words: cp.Problem(cp.Minimize(goal), [row]) for words, (goal, row) in programs.items()}
 
 
-def complex_sizes() -> Any:
-    z = cp.Variable(2, complex=True)
-    return cp.Problem(cp.Minimize(cp.sum(cp.abs(z))), [z == 1])
-
-
-def norm() -> Any:
-    x = cp.Variable(2)
-    return cp.Problem(cp.Minimize(cp.norm(x)), [x == 1])
-
-
-def concave() -> Any:
-    x = cp.Variable(2)
-    return cp.Problem(cp.Minimize(cp.quad_form(x, cp.psd_wrap(-np.eye(2)))), [x <= 1])
-
-
-@pytest.mark.parametrize(
-    ("made", "words"),
-    [
-        (integer_program, "HIGHS"),
-        (complex_sizes, "complex.*CLARABEL"),
-        (norm, "CLARABEL"),
-        (concave, "not convex"),
-    ],
-)
-def test_what_is_refused_is_a_solver_error_and_names_a_way_out(made, words):
+@pytest.mark.parametrize("words", refused())
+def test_what_is_refused_is_a_solver_error_and_names_a_way_out(words):
     """By method="LCP" with the reason and of both classes; by solver=QPSolver cones and integers in cvxpy's words."""
     for kind in (cp.SolverError, UnsupportedModel):
         with pytest.raises(kind, match=words):
-            made().solve(method="LCP")
+            refused()[words].solve(method="LCP")
     with pytest.raises(cp.SolverError):
-        made().solve(solver=QPSolver)
+        refused()[words].solve(solver=QPSolver)

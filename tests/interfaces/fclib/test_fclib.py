@@ -132,6 +132,11 @@ def with_(name: str, values: Any) -> Callable[[Path], None]:
     return replace
 
 
+def with_mass(matrices: dict[str, Any]) -> Callable[[Path], None]:
+    vectors = {"f": np.zeros(2), "w": np.zeros(3), "mu": [0.5]}
+    return lambda path: write(path, "fclib_global", matrices | {"H": np.eye(2, 3)}, **vectors)  # type: ignore[func-returns-value]
+
+
 @pytest.mark.parametrize(
     ("change", "words"),
     [
@@ -150,38 +155,29 @@ def with_(name: str, values: Any) -> Callable[[Path], None]:
             with_("fclib_local/vectors/mu", [-1.0]),
             "friction must not be negative, but friction[0] = -1.0",
         ),
+        (Path.unlink, "no such file"),
+        (lambda path: path.write_text("W = 1"), "damaged or no HDF5 file"),
+        (with_mass({"M": -np.eye(2)}), "the mass matrix must be positive definite"),
+        (
+            with_mass({"M": np.eye(2), "G": np.eye(2)}),
+            "equations in addition to its contacts (fclib_global/G)",
+        ),
     ],
 )
 def test_the_error_names_the_fault_of_a_file(change, words, tmp_path):
     """A missing key, an empty group, another dimension: what the file holds, what it should."""
     path = local(tmp_path / "block.h5")
     change(path)
-    with pytest.raises(UnreadableFile, match=re.escape(words)):
+    kind = UnsupportedModel if "equations" in words else UnreadableFile
+    with pytest.raises(kind, match=re.escape(words)):
         load_problem(path)
+
+
+def test_a_file_of_contacts_is_not_taken_for_an_lcp(tmp_path):
+    """LCP.load, which has no place for it, names load_problem, and the command ends with 2."""
+    path = local(tmp_path / "block.h5")
+    with pytest.raises(LCPError, match="load_problem"):
+        LCP.load(path)
+    without("fclib_local/W")(path)
     found = lcp_plugin("solve", str(path))
     assert found.exit_code == 2, found.output
-
-
-def test_other_files_are_told_apart(tmp_path):
-    """No file, no HDF5, equations beside contacts, a mass matrix that is none; LCP.load, which has no place for it."""
-    with pytest.raises(UnreadableFile, match="no such file"):
-        load_problem(tmp_path / "none.h5")
-    (tmp_path / "text.h5").write_text("W = 1")
-    with pytest.raises(UnreadableFile, match="damaged or no HDF5 file"):
-        load_problem(tmp_path / "text.h5")
-    vectors = {"f": np.zeros(2), "w": np.zeros(3), "mu": [0.5]}
-    path = write(
-        tmp_path / "g.h5",
-        "fclib_global",
-        {"M": np.eye(2), "H": np.eye(2, 3), "G": np.eye(2)},
-        **vectors,
-    )
-    with pytest.raises(
-        UnsupportedModel, match=r"equations in addition to its contacts \(fclib_global/G\)"
-    ):
-        load_problem(path)
-    path = write(tmp_path / "g.h5", "fclib_global", {"M": -np.eye(2), "H": np.eye(2, 3)}, **vectors)
-    with pytest.raises(UnreadableFile, match="the mass matrix must be positive definite"):
-        load_problem(path)
-    with pytest.raises(LCPError, match="load_problem"):
-        LCP.load(local(tmp_path / "block.h5"))

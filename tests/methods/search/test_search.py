@@ -7,16 +7,9 @@ import pytest
 import scipy.sparse as sp
 from campaigns.games import game, missed, wrong_equilibria
 from campaigns.search import Enumeration, random_problem, violations
+from tools.refusals import assert_refused, refusals
 
-from lcp_plugin import (
-    LCP,
-    InvalidOption,
-    InvalidProblem,
-    Status,
-    UnsuitableProblem,
-    all_solutions,
-    solve,
-)
+from lcp_plugin import LCP, Status, UnsuitableProblem, all_solutions, solve
 from lcp_plugin.methods.search import search
 from lcp_plugin.proofs.exact import is_exact_solution
 from lcp_plugin.proofs.no_solution import Case, NoSolution
@@ -160,20 +153,20 @@ def test_boxes_free_and_fixed_rows_take_part():
     assert solution.pattern == ("zero", "fixed")
 
 
-def test_limits_end_the_search_honestly():
+GAME = LCP.from_game(np.eye(3), np.eye(3))
+
+
+@refusals(r"""
+all_solutions(GAME, max_nodes=3) → UnsuitableProblem: max_nodes=3
+all_solutions(GAME, max_nodes=0) → InvalidOption: max_nodes
+search(LCP(np.eye(30), np.ones(30))) → UnsuitableProblem: got 30 and n = 30
+search(LCP(np.eye(80), np.ones(80), lower=-np.inf)) → UnsuitableProblem: got 0 and n = 80
+search(np.eye(2)) → InvalidProblem: LCP
+""")
+def test_limits_end_the_search_honestly(call, words):
     """Too few nodes decide nothing; a problem that is too large raises an error with its size."""
-    problem = LCP.from_game(np.eye(3), np.eye(3))
-    assert search(problem, first_only=False, max_nodes=3) is None
-    with pytest.raises(UnsuitableProblem, match="max_nodes=3"):
-        all_solutions(problem, max_nodes=3)
-    with pytest.raises(UnsuitableProblem, match=r"got 30 and n = 30"):
-        search(LCP(np.eye(30), np.ones(30)))
-    with pytest.raises(UnsuitableProblem, match=r"got 0 and n = 80"):
-        search(LCP(np.eye(80), np.ones(80), lower=-np.inf))
-    with pytest.raises(InvalidOption, match="max_nodes"):
-        all_solutions(problem, max_nodes=0)
-    with pytest.raises(InvalidProblem, match="LCP"):
-        search(np.eye(2))  # type: ignore[arg-type]
+    assert_refused(call, words, globals())
+    assert search(GAME, first_only=False, max_nodes=3) is None
 
 
 BEYOND_DOUBLES = LCP([[0.0, -1e-145], [1.0, 0.0]], [1e278, -1.0])  # its solution: (1, 1e423)

@@ -11,6 +11,7 @@ import pytest
 import scipy.sparse as sp
 from campaigns import paths
 from oracles.exact import exact_solution
+from tools.refusals import assert_refused, refusals
 
 from lcp_plugin import (
     LCP,
@@ -19,8 +20,6 @@ from lcp_plugin import (
     NotConverged,
     QuadraticProgram,
     Status,
-    UnsuitableProblem,
-    UnsupportedModel,
     solve,
     trace,
 )
@@ -226,27 +225,23 @@ def test_penalties_within_bounds_weights_and_a_ridge():
 TWO, FIT = LCP(np.eye(2), [1, 1]), BoundedLeastSquares([[1.0]], [1])
 HELD = BoundedLeastSquares([[1.0]], [1], lower=-1, l1=1)
 BENT = QuadraticProgram([[-1]], [1], lower=0, upper=1)
-REFUSED = [
-    (TWO, {"M": 1}, 1, InvalidOption, "not M: the solution is not piecewise affine in M"),
-    (TWO, {"Q": 1}, 1, InvalidOption, "did you mean 'q'"),
-    (TWO, {}, 1, InvalidOption, "along must name data"),
-    (TWO, {"q": 1}, INF, InvalidOption, "stop must be a finite number, got inf"),
-    (TWO, {"upper": [1, 0]}, 1, InvalidOption, r"upper\[0\] is inf and cannot move"),
-    (QuadraticProgram([[1]], [1]), {"P": 1}, 1, InvalidOption, "divide the objective by it"),
-    (BENT, {"c": 1}, 1, UnsupportedModel, "not convex"),
-    (FIT, {"l1": 1}, -1, InvalidOption, r"l1\[0\] = -1.0"),
-    (HELD, {"lower": 1}, 2, UnsuitableProblem, "changes its sign"),
-    ([1], {"q": 1}, 1, InvalidOption, "trace needs an LCP, .* BoundedLeastSquares, got list"),
-]
 
 
-@pytest.mark.parametrize(
-    ("problem", "along", "stop", "error", "words"), REFUSED, ids=[case[-1] for case in REFUSED]
-)
-def test_what_cannot_be_traced_is_refused_in_words(problem, along, stop, error, words):
+@refusals(r"""
+trace(TWO, {"M": 1}, 0, 1) → InvalidOption: not M: the solution is not piecewise affine in M
+trace(TWO, {"Q": 1}, 0, 1) → InvalidOption: did you mean 'q'
+trace(TWO, {}, 0, 1) → InvalidOption: along must name data
+trace(TWO, {"q": 1}, 0, np.inf) → InvalidOption: stop must be a finite number, got inf
+trace(TWO, {"upper": [1, 0]}, 0, 1) → InvalidOption: upper\[0\] is inf and cannot move
+trace(QuadraticProgram([[1]], [1]), {"P": 1}, 0, 1) → InvalidOption: divide the objective by it
+trace(BENT, {"c": 1}, 0, 1) → UnsupportedModel: not convex
+trace(FIT, {"l1": 1}, 1, -1) → InvalidOption: l1\[0\] = -1.0
+trace(HELD, {"lower": 1}, 0, 2) → UnsuitableProblem: changes its sign
+trace([1], {"q": 1}, 0, 1) → InvalidOption: trace needs an LCP, .* BoundedLeastSquares, got list
+""")
+def test_what_cannot_be_traced_is_refused_in_words(call, words):
     """Each error contains the argument and the remedy."""
-    with pytest.raises(error, match=words):
-        trace(problem, along, float("l1" in along), stop)
+    assert_refused(call, words, globals())
 
 
 def test_a_path_is_shown_in_words_tables_and_pictures():

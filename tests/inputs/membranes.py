@@ -9,58 +9,31 @@ from typing import Any, NamedTuple
 
 import numpy as np
 import scipy.sparse as sp
+from applications import Application
+from applications import membranes as applied
 from scipy.sparse.linalg import spsolve
 from stability_atlas import Field, balanced_matrix, stencil_matrix, stiff_cells, upwind
 
 from lcp_plugin import LCP, gallery
 from lcp_plugin.core.settings import parse_options
 from lcp_plugin.gallery import Scene
-from lcp_plugin.gallery.problems import CONE_BEGINS, sphere_obstacle
 
-CONTACT_RADIUS = 0.7892441190408083  # the root r* in (0, 1) of 2 r² − r³/2 = 1
-MEMBRANE: dict[str, Any] = {"unknown": "height", "active_means": "on the obstacle"}
 BLOCKS = 10
 
 
-def obstacle_3d(*, size: int = 30, shifted: bool = False) -> Scene:
-    """Membrane over a sphere on [−2, 2]³, with analytic solution and free boundary.
-
-    Parameters
-    ----------
-    size
-        Interior nodes along each axis; n = size³, mesh width 4/(size + 1).
-    shifted
-        False: the unknown is u with lower = ψ. True: it is u − ψ with lower = 0, the plain LCP.
-
-    Notes
-    -----
-    As `obstacle_2d` with the radial solution u = A (1/r − 1/2): u and u′ continuous with ψ at r* give
-    A = r*³/√(1 − r*²) and 2 r*² − r*³/2 = 1. Rows are the rows of the seven-point stencil (6, −1).
-    """
-    axis, inner, legs = np.linspace(-2.0, 2.0, size + 2), (slice(1, -1),) * 3, (-1.0,) * 3
-    r = np.sqrt(sum(x**2 for x in np.ix_(axis, axis, axis)))
-    M = stencil_matrix((size,) * 3, 6.0, legs, legs)
-    edge, lower = sphere_solution(r), sphere_obstacle(r[inner]).ravel()
-    continuum = edge[inner].ravel()
-    edge[inner] = 0.0
-    q = 0.0 - sum(np.roll(edge, step, k)[inner].ravel() for k in range(3) for step in (1, -1))
-    if shifted:
-        q, continuum, lower = M @ lower + q, continuum - lower, np.zeros(lower.size)
-    return Scene(
-        problem=LCP(M, q, lower=lower),
-        continuum=continuum,
-        coordinates=(axis[1:-1],) * 3,
-        axis_labels=("x", "y", "z"),
-        **MEMBRANE,
-    )
+def stated(given: Application) -> LCP:
+    """Return the problem of an application."""
+    return LCP(given.M, given.q, lower=given.lower, upper=given.upper)
 
 
-def sphere_solution(r: Field) -> Field:
-    """Return the analytic u(r) in space; any shape."""
-    assert CONTACT_RADIUS < CONE_BEGINS
-    strength = CONTACT_RADIUS**3 / math.sqrt(1.0 - CONTACT_RADIUS**2)
-    free = 1.0 / np.maximum(r, CONTACT_RADIUS) - 0.5
-    return np.where(r < CONTACT_RADIUS, sphere_obstacle(r), strength * free)
+def obstacle_3d(*, size: int = 30) -> Scene:
+    """Membrane over a ball's profile in the unit cube; n = size³."""
+    return Scene(problem=stated(applied.obstacle_3d(size)))
+
+
+def journal_bearing(*, size: int = 100, eccentricity: float = 0.8) -> Scene:
+    """Pressure in the oil film of a journal bearing with cavitation; the film spans a ratio of ((1 + ε)/(1 − ε))³."""
+    return Scene(problem=stated(applied.bearing(size, eccentricity)))
 
 
 def convection_diffusion(
@@ -199,48 +172,6 @@ def random_h_plus(
     q = row_power * (w - A @ z)
     A.data *= np.repeat(row_power, np.diff(A.indptr)) * column_power[A.indices]
     return Scene(problem=LCP(A, q), exact=z / column_power)
-
-
-def journal_bearing(
-    *, size: int = 100, eccentricity: float = 0.8, half_length: float = 10.0
-) -> Scene:
-    """Pressure in the oil film of a journal bearing with cavitation.
-
-    Parameters
-    ----------
-    size
-        Interior nodes along each axis; n = size².
-    eccentricity
-        Eccentricity relative to the clearance; at 1 the journal would touch. The film's coefficient spans a ratio of
-        ((1 + ε)/(1 − ε))³: 8e6 at 0.99.
-    half_length
-        Half the width of the bearing, in radii.
-
-    Notes
-    -----
-    Reynolds' equation on θ in (0, 2π) and y in (0, 2 · half_length): −∇·(h³ ∇p) ≥ −∂h/∂θ = ε sin θ, p ≥ 0,
-    complementary, p = 0 on the boundary, h = 1 + ε cos θ. An edge takes h³ at its midpoint. Rows are the rows of the
-    five-point stencil times both mesh widths.
-    """
-    angle = np.linspace(0.0, 2.0 * np.pi, size + 2)
-    width = np.linspace(0.0, 2.0 * half_length, size + 2)
-    step, depth = angle[1] - angle[0], width[1] - width[0]
-
-    def film_cubed(at: np.ndarray) -> np.ndarray:
-        return np.asarray((1.0 + eccentricity * np.cos(at)) ** 3)[:, None]
-
-    middle = 0.5 * (angle[1:] + angle[:-1])
-    around = film_cubed(middle) * (depth / step)
-    across = film_cubed(angle[1:-1]) * (step / depth)
-    M = balanced_matrix((size, size), ([-around[:-1], -across], [-around[1:], -across]))
-    source = eccentricity * np.sin(angle[1:-1]) * (step * depth)
-    return Scene(
-        problem=LCP(M, -np.repeat(source, size)),
-        coordinates=(angle[1:-1], width[1:-1]),
-        axis_labels=("angle", "width"),
-        unknown="pressure",
-        active_means="torn film, no pressure",
-    )
 
 
 class Put(NamedTuple):

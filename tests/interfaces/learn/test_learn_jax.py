@@ -41,6 +41,7 @@ def test_examples_of_its_help():
     assert doctest.testmod(layers).attempted > 3
 
 
+@pytest.mark.quick(1)
 @pytest.mark.parametrize("symmetric", [True, False])
 @pytest.mark.parametrize("shared", [True, False])
 def test_gradients_are_those_of_differences(symmetric, shared):
@@ -51,9 +52,8 @@ def test_gradients_are_those_of_differences(symmetric, shared):
         check_grads(layer, tuple(map(jnp.array, data)), order=1, modes=["rev"], eps=1e-6)
 
 
-@pytest.mark.parametrize(
-    "axes", [(None, 0, None, None), (0, None, None, None), (None, None, 0, 0), (0, 0, 0, 0)]
-)
+@pytest.mark.quick(1)
+@pytest.mark.parametrize("axes", [(0, 0, 0, 0), (None, 0, None, None), (0, None, 0, None)])
 def test_a_mapped_axis_is_one_more_of_the_batch(axes):
     """With vmap of the layer and of its gradients, over any of the arguments, inside and outside of jit."""
     data = [
@@ -77,18 +77,18 @@ def test_a_mapped_axis_is_one_more_of_the_batch(axes):
 
 def test_jacobians():
     """jax.jacrev asks for many gradients of one solution: −M_FF⁻¹ on the free rows; also under vmap."""
-    M, q, lower, upper = planted(3, 6, 7)
+    M, q, lower, upper = planted(2, 6, 7)
     jacobian = jax.jacrev(lcp_layer, argnums=1)
     mapped = jax.vmap(jacobian)(M, q, lower, upper)
-    for k in range(3):
+    for k in range(2):
         found = derivative(solve(LCP(M[k], q[k], lower=lower[k], upper=upper[k])))
         exact = np.column_stack([found.jvp(dq=row) for row in np.eye(6)])
         for ours in (jacobian(M[k], q[k], lower[k], upper[k]), mapped[k]):
             assert np.allclose(ours, exact, rtol=1e-12, atol=1e-13)
     whole = jacobian(M, q, lower, upper)
-    assert whole.shape == (3, 6, 3, 6)
+    assert whole.shape == (2, 6, 2, 6)
     assert np.allclose(whole[1, :, 1], mapped[1], rtol=1e-13, atol=1e-14)
-    assert not np.any(whole[1, :, 2])
+    assert not np.any(whole[1, :, 0])
 
 
 @pytest.mark.parametrize(
@@ -164,6 +164,7 @@ def test_mask_replaces_the_error_of_a_failed_instance():
     assert by_q.tolist() == [[-1.0, 0.0], [0.0, 0.0]]
 
 
+@pytest.mark.quick(2)
 @pytest.mark.parametrize("names", [(), ("c", "h"), ("P", "c")])
 def test_gradients_of_programs_are_those_of_differences(names):
     """check_grads in all data, plain and compiled, these with an axis of a batch; vmap; names of wrong arrays."""

@@ -28,7 +28,7 @@ def largest_in_rows(M: AnyMatrix, sizes: Vector | None = None) -> Vector:
 
 def max_norm(x: Vector) -> float:
     """Return ‖x‖∞, 0 of no entries; a NaN stays."""
-    return float(np.abs(x).max(initial=0.0))
+    return float(np.maximum.reduce(np.abs(x), axis=None, initial=0.0))
 
 
 def clip(x: Any, lower: Vector, upper: Vector) -> Vector:

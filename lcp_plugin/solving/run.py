@@ -370,24 +370,25 @@ class Run:
             "stages": progress.records(),
         }
 
-    def result_at(
-        self, certificate: Any, status: Status, result_class: type[Result] = Result, **others: Any
-    ) -> Result:
-        """Return the result of a run that ends with this certificate; `others` are further fields of its class."""
+    def fields_at(self, z: Vector, status: Status) -> dict[str, Any]:
+        """Return the fields of a result at z, except `algorithm` and `certificate`."""
         progress, common = self.progress, self.common_fields(status)
         if status is Status.SOLVED and progress.iteration <= 0 and self.best is not None:
             stages = (stage._replace(because=NOTHING_TO_DO) for stage in common["stages"])
             common["stages"] = tuple(stages)
-        z = certificate.z
-        result = result_class(
-            z=read_only(z + math.nan) if status in PROVEN else z,
-            certificate=certificate,
-            absolute_tolerance=self.settings.absolute_tolerance,
-            work=progress.work,
-            setup_seconds=progress.setup_seconds,
-            **common,
-            **others,
-        )
+        return common | {
+            "z": read_only(z + math.nan) if status in PROVEN else z,
+            "absolute_tolerance": self.settings.absolute_tolerance,
+            "work": progress.work,
+            "setup_seconds": progress.setup_seconds,
+        }
+
+    def result_at(
+        self, certificate: Any, status: Status, result_class: type[Result] = Result, **others: Any
+    ) -> Result:
+        """Return the result of a run that ends with this certificate; `others` are further fields of its class."""
+        fields = self.fields_at(certificate.z, status)
+        result = result_class(certificate=certificate, **fields, **others)
         if self.settings.verbose:
             say(
                 f"{status.name}: relative residual {result.residual:.2e} after {result.iterations} iterations, "

@@ -653,7 +653,7 @@ class Linearization:
         self.value = problem.evaluate(self.x)
         self._measured: Measured | None = None
         self._moves: BoolVector | None = None
-        self.size: float | None = None  # in the units of a run
+        self.sizes: tuple[float, float] | None = None  # in the units of a run
         self.lcp_steps: dict[float, Vector | None] = {}  # of a small problem, by shift
 
     def at(self, x: Vector) -> Linearization:
@@ -736,7 +736,7 @@ class Linearization:
             self._measured = self.data.measure_at(self.x, self.value, *limits)
         return self._measured
 
-    @derived_property
+    @cached_property
     def least_residual(self) -> float:
         """A lower bound of the relative residual that costs little: relative to the largest T_i/d_i."""
         terms = self.data.terms / self.data.scale

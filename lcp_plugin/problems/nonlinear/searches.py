@@ -10,7 +10,7 @@ from __future__ import annotations
 
 import math
 from collections import deque
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from functools import cached_property
 from itertools import chain
 from typing import Any, ClassVar
@@ -25,8 +25,8 @@ from ...core.kernels.floats import DATA_ROUNDING, NEGLIGIBLE, NEGLIGIBLE_DIAGONA
 from ...core.settings import Settings
 from ...core.tuning import CHEAP_UP_TO
 from ...methods.newton import fischer_burmeister
-from .data import SMALLEST_TOLERANCE, Linearization, moves_on
-from .steps import Target, is_small, lcp_step, moved, row_scale, targets
+from .data import Linearization, moves_on
+from .steps import Target, row_scale, targets
 
 SEARCHES = {"monotone": 1, "nonmonotone": 4}  # points with whose worst merit a step is compared
 TRIALS = 12  # points on a line where F is defined
@@ -54,7 +54,6 @@ class JosephyNewton(Algorithm):
 
     name: ClassVar[str] = "josephy_newton"
     is_monotone: ClassVar[bool] = False
-    most_full_steps: ClassVar[int] = 20
 
     def __init__(
         self,
@@ -70,7 +69,6 @@ class JosephyNewton(Algorithm):
         self.limit: Vector | float = np.inf  # of |x|: farther unknowns have grown without limit
         self.work, self.step_name, self.length = 1.0, "start", 0.0
         self.recent: deque[Linearization] = deque([start], 1)
-        self.passed: dict[bytes, Linearization] = {}  # points of full steps, to be taken again
 
     @cached_property
     def weights(self) -> Vector:
@@ -159,76 +157,6 @@ class JosephyNewton(Algorithm):
         point = self.first.at(np.clip(drawn, lower, upper))
         return point if point.is_defined else None
 
-    def full_steps(self, is_over: Callable[[], bool]) -> tuple[Linearization | None, int]:
-        """Return the first point with a small residual, and its number of steps; None if another step is due.
-
-        A small dense problem with a good start needs only full Newton steps. These are the first steps of the monotone
-        search, bit for bit, without the bookkeeping of a run. If another step is due, a run takes the points from
-        `passed`, with F, F′ and the targets of their steps.
-
-        Parameters
-        ----------
-        is_over : callable
-            Returns whether the time is over.
-        """
-        current, settings = self.first, self.settings
-        is_suited = self.linear == "auto" and is_small(current) and current.x.size
-        if not is_suited:
-            return None, 0
-        problem, goal = current.problem, max(self.tolerance, SMALLEST_TOLERANCE)
-        lower, upper, unit = problem.lower, problem.upper, current.scale
-        passed: list[Linearization] = []
-        for count in range(min(self.most_full_steps, settings.max_iterations) + 1):
-            self.current = current
-            x, w, M, scale = current.x, current.value, current.M, current.scale
-            above, below, step = x - lower, x - upper, w / scale
-            residual = np.abs(np.minimum(np.maximum(step, below), above))
-            violation = np.maximum(np.where(above > 0.0, w, 0.0), np.where(below < 0.0, -w, 0.0))
-            sizes = np.maximum(residual, violation / unit)
-            if count == 0:
-                least, negligible = sizes, NEGLIGIBLE * sizes
-            elif not is_below(sizes, least, 0.95):
-                latest = min(map(self.progress, passed[-12:]))
-                if not self.progress(current) < 0.95 * latest and self.is_at_floor():
-                    break
-            passed.append(current)
-            least = np.minimum(sizes, least)
-            terms = np.abs(M) @ np.abs(x) + np.abs(current.q)
-            limit = max(goal * np.maximum.reduce(terms / scale), settings.absolute_tolerance)
-            if np.maximum.reduce(residual) <= limit:
-                return current, count
-            is_flat = not np.logical_and.reduce(sizes > negligible) and self.is_flat()
-            if is_flat or is_over() or count in (self.most_full_steps, settings.max_iterations):
-                break
-            if (change := lcp_step(current, "auto", goal)) is None:
-                break
-            point = current.at(moved(current, change))
-            self.passed[point.x.tobytes()] = self.tried = point
-            if not self._is_better(point, residual) or not point.is_defined:
-                break
-            current = point
-        return None, 0
-
-    def _is_better(self, point: Linearization, residual: Vector) -> bool:
-        """Return whether a search accepts the end of a full step, and does not move it to z°.
-
-        The tests of single rows imply the tests by weighted norms, for any weights, and take less time.
-        """
-        current, lower, upper = self.current, point.problem.lower, point.problem.upper
-        there = np.maximum(point.value / current.scale, point.x - upper)
-        there = np.abs(np.minimum(there, point.x - lower))
-        if not is_below(there, residual, 0.5):
-            phi = [np.abs(self.phi(place)) for place in (point, current)]
-            if not is_below(phi[0], phi[1], 0.9999):
-                target, self.recent = Target("Newton", point.x, (1.0,)), deque([current])
-                if self.full_step(target) is None and self.search(target) is None:
-                    return False
-        if self.first is current.origin:
-            return True
-        near = 1e-4 * np.maximum.reduce(np.abs(self.first.x - current.origin.x))
-        is_far = (np.abs(point.x - current.origin.x) > near).all()
-        return bool(is_far) or self.snap(point) is point
-
     # --- one step ----------------------------------------------------------------------------------------
 
     def _next_point(self) -> Linearization | None:
@@ -275,10 +203,9 @@ class JosephyNewton(Algorithm):
             tried += 1
             # ∞ gains nothing on ∞
             is_better = self._merit(point) < (1.0 - 1e-4 * length) * worst
-            if (
-                current.residual <= DATA_ROUNDING
-            ):  # far from a source the last digits become right, and nothing falls
-                is_better |= point.is_defined and point.passes(self.settings)
+            # far from a source the last digits become right, and nothing falls
+            if not is_better and current.residual <= DATA_ROUNDING:
+                is_better = point.is_defined and point.passes(self.settings)
             is_lenient = is_newton and length == 1.0 and len(self.recent) > 1
             if not (is_better or is_lenient) or not point.is_defined:
                 continue
@@ -291,7 +218,7 @@ class JosephyNewton(Algorithm):
         """Return the linearization at x; its F is computed once if the next search begins there."""
         if not np.array_equal(x, self.tried.x):
             self.work += 1.0
-            self.tried = self.passed.pop(x.tobytes(), None) or self.first.at(x)  # type: ignore[arg-type]
+            self.tried = self.first.at(x)
         return self.tried
 
     # --- what is measured ----------------------------------------------------------------------------------
@@ -317,10 +244,15 @@ class JosephyNewton(Algorithm):
         Next to a pole only the residual falls, because x_i approaches its bound; if F tends to 0 as x diverges, only
         the violation falls.
         """
-        if point.size is None:
-            sizes = np.maximum(np.abs(point.steps), point.violation / self.first.data.scale)
-            point.size = max_norm(self.weights * sizes)
-        return point.size
+        return self.sizes_of(point)[0]
+
+    def sizes_of(self, point: Linearization) -> tuple[float, float]:
+        """Return the largest residual or violation, and the largest violation, in the units of the start."""
+        if point.sizes is None:
+            violation = max_norm(self.weights * (point.violation / self.first.data.scale))
+            residual = max_norm(self.weights * point.steps)
+            point.sizes = float(np.maximum(residual, violation)), violation
+        return point.sizes
 
     def progress(self, point: Linearization) -> float:
         """Return the measure that must fall: the size, and then the componentwise test."""
@@ -330,8 +262,3 @@ class JosephyNewton(Algorithm):
                 1.0, float(point.measure(self.settings).by_row.componentwise.max(initial=0.0))
             )
         return size
-
-
-def is_below(values: Vector, others: Vector, share: float) -> bool:
-    """Return whether each value is 0 or below its share of the other value, so that weighted norms are."""
-    return bool(np.logical_and.reduce((values < share * others) | (values == 0.0)))

@@ -1,14 +1,13 @@
 """solve_nonlinear(): Josephy–Newton in the common loop, measured by the criterion of LCPs.
 
-The searches of :mod:`lcp_plugin.problems.nonlinear.searches` propose the points. The first full Newton steps of a small
-dense problem are taken without the loop, unless they are watched.
+The searches of :mod:`lcp_plugin.problems.nonlinear.searches` propose the points.
 """
 
 from __future__ import annotations
 
 import math
-from dataclasses import replace
 from functools import lru_cache, partial
+from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
@@ -17,7 +16,6 @@ from numpy.typing import ArrayLike
 
 from ...core.algorithm import Algorithm, Step
 from ...core.checks import Vector, read_only, vector_option
-from ...core.entries import max_norm
 from ...core.errors import InvalidOption, InvalidProblem
 from ...core.kernels.threads import threads_for
 from ...core.names import Names
@@ -70,7 +68,8 @@ def solve_nonlinear(
         Absolute residual, in the unit of x, as for :func:`lcp_plugin.solve`. A row below it is not compared with its
         terms.
     callback : callable, optional
-        Same as in :func:`lcp_plugin.solve`, with one sample per Newton step, also of `record`.
+        Same as in :func:`lcp_plugin.solve`, with one sample per Newton step, also of `record`. Residuals above the
+        tolerance are lower bounds, relative to the largest terms of a row, because the run needs no more.
     check_jacobian : bool
         Compare the `jacobian` with differences of F, near the start and where x passes. ``explain()`` names the row
         with the largest deviation at the start. If they differ, x is SOLVED only if it passes with differences also.
@@ -139,22 +138,17 @@ def solve_nonlinear(
     with threads_for(settings.threads):
         first, begun = begin_at(Linearization(problem, start))
         searches = tuple(SEARCHES) if search is None else (search,)
-        has_doubts, result = check_jacobian and problem.jacobian is not None, None
-        make = partial(JosephyNewton, first, algorithm, settings, searches, restarts)
-        run = NonlinearRun(make(), progress, has_doubts=has_doubts)
+        has_doubts = check_jacobian and problem.jacobian is not None
+        newton = JosephyNewton(first, algorithm, settings, searches, restarts)
+        run = NonlinearRun(newton, progress, has_doubts=has_doubts)
         try:
             if has_doubts:
                 begun = "; ".join(filter(None, (begun, jacobian_warning(first))))
-            if searches[0] == "monotone" and not progress.is_watched:
-                result = run.leap(begun)
-            if result is None:
-                passed, run.newton = run.newton.passed, make()
-                newton, run.newton.passed = run.newton, passed
-                stage = Stage(newton, TANGENTS, steps=newton.iterates(problem, first.x))
-                end = run.follow_all([stage])
+            steps = newton.iterates(problem, first.x)
+            end = run.follow_all([Stage(newton, TANGENTS, steps=steps)])
         except KeyboardInterrupt:
             end = Status.INTERRUPTED
-        return replace(run.result(end), begun=begun) if result is None else result
+        return run.result(end, begun)
 
 
 def begin_at(first: Linearization) -> tuple[Linearization, str]:
@@ -211,38 +205,17 @@ class NonlinearRun(Run):
         super().__init__(progress)
         self.newton, self.has_doubts = newton, has_doubts
 
-    def leap(self, begun: str) -> Result | None:
-        """Return the result if a few Newton steps lead to a point that passes; its record is made on access."""
-        newton, progress = self.newton, self.progress
-        setup, limit = progress.clock.read(), self.settings.max_seconds
-        point, count = newton.full_steps(lambda: progress.clock.read() >= limit)
-        if point is None or not self._passes(point := self._snap(point)):
-            return None
-        stage = Stage(newton, TANGENTS, iterations=count, work=count + 1.0)
-        progress.stages, progress.iteration, progress.work = [stage], count, stage.work
-        self.best = Measured(point, 0.0, True)
-        now: dict[str, Any] = {"begun": begun, "evaluations": Evaluations(*point.problem.counts)}
-        now |= {"_asked": newton, "_advice": WORDS, "z": point.x, "status": Status.SOLVED}
-        seconds = {"seconds": progress.clock.read(), "setup_seconds": setup}
-        return Result.of_known(partial(self._record, now | seconds), **now)
-
-    def _record(self, known: dict[str, Any]) -> Result:
-        """Return the result of :meth:`leap` with all fields."""
-        return replace(self.result(Status.SOLVED), **known)
-
     def measure(self, stage: Stage, step: Step) -> Measured:
         """Return the linearization at the point of a step; if its residual is small, at bounds that are near."""
         point: Linearization = step.measured
-        if point.is_small(self.settings):
-            point = self._snap(point)
-        is_shown = self.progress.is_watched
-        size = point.residual if is_shown else self.newton.size_of(point)
-        return Measured(point, size, self._passes(point))
+        if not (is_small := point.is_small(self.settings)):
+            return Measured(point, point.least_residual, is_small)
+        point = self._snap(point)
+        return Measured(point, point.measure(self.settings).residual, self._passes(point))
 
     def keep(self, measured: Measured) -> None:
         """Keep a point that passes, or whose violation in the units of the start is the least."""
-        sizes = self.newton.weights * measured.z.violation / self.newton.first.data.scale
-        super().keep(measured._replace(residual=max_norm(sizes)))
+        super().keep(measured._replace(residual=self.newton.sizes_of(measured.z)[1]))
 
     def _is_far(self, point: Linearization) -> bool:
         """Return whether an unknown is as large as at a point from which it grew."""
@@ -268,7 +241,7 @@ class NonlinearRun(Run):
         """Return DIVERGED if a residual is not a number."""
         return Status.DIVERGED if math.isnan(self.newton.size_of(measured.z)) else None
 
-    def result(self, end: Status) -> Result:
+    def result(self, end: Status, begun: str = "") -> Result:
         """Return the result: the best point, moved to near bounds unless Ctrl-C ended the run."""
         newton, is_interrupted = self.newton, end is Status.INTERRUPTED
         point: Linearization = newton.first if self.best is None else self.best.z
@@ -283,12 +256,20 @@ class NonlinearRun(Run):
         status = self.status(end)
         words = {**WORDS, Status.STALLED: GROWING} if self._is_far(point) else WORDS
         named: dict[str, Any] = {"algorithm": newton.name, "_asked": newton, "_advice": words}
-        named["evaluations"] = Evaluations(*newton.first.problem.counts)
+        named |= {"evaluations": Evaluations(*newton.first.problem.counts), "begun": begun}
         if status is Status.STALLED and (part := point.problem.affine_part) is not None:
             proof = proof_of_contradiction(part())
             status = status if proof is None else Status.INFEASIBLE
             named["infeasibility"] = proof
-        return self.result_at(point.certificate, status, **named)
+        if status is not Status.SOLVED or self.settings.verbose:
+            return self.result_at(point.certificate, status, **named)
+        fields = self.fields_at(point.x, status)
+        return Result.of_known(partial(_certified, point), **fields, **named)
+
+
+def _certified(point: Linearization) -> Any:
+    """Return the certificate of a point, which costs a quarter of a small run, as the field of a result."""
+    return SimpleNamespace(certificate=point.certificate)
 
 
 def with_trusted_derivative(point: Linearization) -> Linearization:
@@ -337,7 +318,7 @@ def jacobian_warning(point: Linearization) -> str:
     shares, signs = _drawn(x.size)
     is_single = np.array_equal(value, value.astype(np.float32))  # the digits of F
     rounding = np.abs(value) * (2.0**-23 if is_single else 2.0**-52)
-    found, errors = [], []
+    wrong, found = np.full(x.size, np.inf), []
     # The unit of x_j is 1, then |x_j|
     for step, unit in zip(CHECKED, (np.maximum(np.abs(x), 1.0), np.abs(x)), strict=True):
         size = np.where(unit > 0.0, unit, 1.0) * shares
@@ -346,11 +327,11 @@ def jacobian_warning(point: Linearization) -> str:
         slope, terms = M @ direction, abs(M) @ size
         quotient = (problem.evaluate(read_only(x + step * direction)) - value) / step
         found.append((slope, quotient))
-        errors.append(np.abs(quotient - slope) / (terms + np.abs(quotient) + rounding / step))
-    wrong, (slope, quotient) = np.minimum(*errors), found[0]
-    wrong = np.where(np.isfinite(wrong), wrong, 0.0)
-    if not wrong.max(initial=0.0) > 0.1:
-        return ""
+        error = np.abs(quotient - slope) / (terms + np.abs(quotient) + rounding / step)
+        wrong = np.minimum(wrong, np.where(np.isfinite(error), error, 0.0))
+        if not (wrong > 0.1).any():
+            return ""
+    slope, quotient = found[0]
     i = int(np.argmax(wrong))
     return (
         f"jacobian disagrees with F at the start: along one direction {problem.names.row(i)} of jacobian(x0) gives "

@@ -24,6 +24,7 @@ from lcp_plugin import (
     derivative,
     solve,
 )
+from lcp_plugin.judges.lcp import RowData
 from lcp_plugin.problems.nonlinear.data import Linearization
 from lcp_plugin.problems.nonlinear.steps import small_step
 
@@ -676,11 +677,10 @@ def test_a_right_jacobian_is_trusted_where_unknowns_are_small(unit):
     np.testing.assert_allclose(solve(problem).require_solved().z, unit)
 
 
-def test_an_absolute_tolerance_needs_no_run(monkeypatch):
-    """The first full steps of a small problem end where the call without it ends, or sooner."""
+def test_an_absolute_tolerance_ends_no_later():
+    """A run with an absolute tolerance ends where the call without it ends, or sooner."""
     problem = NonlinearProblem(lambda x: np.exp(x) - 2.0, lower=np.zeros(4))
     plain = solve(problem)
-    monkeypatch.setattr("lcp_plugin.problems.nonlinear.solving.NonlinearRun.follow_all", None)
     fine, rough = (solve(problem, absolute_tolerance=size) for size in (1e-12, 1e-2))
     assert fine.z.tobytes() == plain.z.tobytes()
     assert rough.is_solved
@@ -688,7 +688,23 @@ def test_an_absolute_tolerance_needs_no_run(monkeypatch):
     assert np.abs(rough.z - np.log(2.0)).max() <= 1e-2
 
 
-def test_a_run_takes_the_first_full_steps(monkeypatch):
+@pytest.mark.parametrize("F", [lambda x: np.exp(x) - 2.0, lambda x: np.arctan(x - 9.0)])
+def test_a_sample_costs_no_measurement(monkeypatch, F):
+    """A recorded run has the bits of the plain run, computes as many residuals, and has a sample per step."""
+    calls: list[int] = []
+    residual = RowData.residual
+    monkeypatch.setattr(RowData, "residual", lambda *data: calls.append(0) or residual(*data))
+    problem = NonlinearProblem(F, lower=np.zeros(4))
+    plain, so_many = solve(problem), len(calls)
+    result = solve(problem, record=True)
+    assert len(calls) == 2 * so_many
+    assert result.z.tobytes() == plain.z.tobytes()
+    assert [sample.iteration for sample in result.history] == [*range(result.iterations + 1)]
+    assert all(sample.residual > 1e-8 for sample in result.history[:-1])
+    assert result.history[-1].residual <= 1e-8
+
+
+def test_no_linear_problem_is_solved_twice(monkeypatch):
     """An arctan = 0 from 10 takes shorter steps: no linear problem is solved twice."""
     seen: list[bytes] = []
     monkeypatch.setattr(

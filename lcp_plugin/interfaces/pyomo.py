@@ -30,7 +30,7 @@ from ..core.errors import InvalidOption, InvalidProblem, UnsupportedModel
 from ..core.names import MOST_NAMES, format_count, listed
 from ..problems.programs.certification import Certification
 from .nl.model import NLAnswer, ProgramModel, certify_values, model_of, values_and_slopes
-from .nl.reading import NLContent, read_content
+from .nl.reading import NLContent, number_tree, read_content
 
 KINDS = "Block Constraint Expression ExternalFunction Objective Param RangeSet Set Suffix Var"
 KNOWN = {Complementarity, Port} | {getattr(core, kind) for kind in KINDS.split()}
@@ -410,7 +410,9 @@ class _Draft:
             has_lower = lower[j] == held.lower > -math.inf
             has_upper = upper[j] == held.upper < math.inf
             bits[i] = has_lower + 2 * has_upper
-        return replace(content, **new, trees=content.trees.plus(constants))
+        pairs = zip(content.trees, constants.tolist(), strict=True)
+        plus = [[("o", 0, 2), *number_tree(c), *tree] if c else tree for tree, c in pairs]
+        return replace(content, **new, trees=plus)
 
     def _needs_no_bound_row(self, variable: Any, pair: Pair) -> bool:
         """Return whether the bounds of a pair's variable need no row.

@@ -12,18 +12,18 @@ import numpy as np
 import scipy.sparse as sp
 
 from lcp_plugin.interfaces.nl.expressions import NAMES, OPERATORS, evaluated_tree
-from lcp_plugin.interfaces.nl.reading import WITH_TOLERANCE, NLContent, Token, Trees
+from lcp_plugin.interfaces.nl.reading import WITH_TOLERANCE, NLContent, Tree, number_tree
 from lcp_plugin.interfaces.nl.writing import OPTIONS
 
 SUMS: dict[str, Any] = {"+": lambda *a: sum(a), "-": operator.sub, "unary -": operator.neg}
 
 
 def content_of_rows(
-    lower: Any, upper: Any, linear: Any, trees: Trees, limits: Any, partners: Any, bounds: Any
+    lower: Any, upper: Any, linear: Any, trees: list[Tree], limits: Any, partners: Any, bounds: Any
 ) -> NLContent:
     """Return the content of rows with limits, without an objective."""
-    none, no = Trees.of_numbers(np.zeros(0)), np.zeros(lower.size, dtype=bool)
-    nothing = sp.csr_array((0, no.size)), none
+    no = np.zeros(lower.size, dtype=bool)
+    nothing = sp.csr_array((0, no.size)), list[Tree]()
     rows = lower, upper, *limits, partners, bounds, linear, trees
     return NLContent(*rows, no[:0], *nothing, *nothing, no, np.zeros(no.size), no)
 
@@ -34,13 +34,13 @@ def content_of(M: Any, q: Any, **changes: Any) -> NLContent:
     free = np.full(n, np.inf)
     own: dict[str, Any] = {}
     if goal is not None:
-        own = {"objective_trees": Trees.of_numbers(np.zeros(1)), "is_maximized": np.zeros(1, bool)}
+        own = {"objective_trees": [number_tree(0.0)], "is_maximized": np.zeros(1, bool)}
         own["objective_linear"] = sp.csr_array([goal])
     content = content_of_rows(
         np.zeros(n),
         free,
         sp.csr_array(np.asarray(M, float)),
-        Trees.of_numbers(np.asarray(q, float)),
+        [number_tree(float(value)) for value in q],
         (-free, free),
         np.arange(n),
         np.ones(n, dtype=np.int64),
@@ -53,8 +53,8 @@ def evaluated(content: NLContent, x: Any) -> tuple[Any, Any]:
     """Return the values of the rows and of the objectives at x by plain arithmetic; NaN if one has no value."""
     values: list[float] = x.tolist()
 
-    def leaf(kind: int, value: float) -> float:
-        return value if kind == Token.NUMBER else values[int(value)]
+    def leaf(kind: str, value: float) -> float:
+        return value if kind == "n" else values[int(value)]
 
     def operation(number: int, operands: list[float]) -> float:
         rule = SUMS.get(NAMES[number]) or getattr(
@@ -63,16 +63,16 @@ def evaluated(content: NLContent, x: Any) -> tuple[Any, Any]:
         found = float(rule(*map(np.float64, operands)))
         return found if math.isfinite(found) else math.nan
 
-    def value(matrix: Any, trees: Trees, k: int) -> float:
+    def value(matrix: Any, tree: Tree, k: int) -> float:
         row = matrix[[k]].tocoo()
         terms = zip(row.data.tolist(), row.col.tolist(), strict=True)
         linear = sum(factor * values[j] for factor, j in terms)
-        return evaluated_tree(trees, k, leaf, operation) + linear
+        return evaluated_tree(tree, leaf, operation) + linear
 
-    for k in range(content.defined_trees.size):
-        values.append(value(content.defined_linear, content.defined_trees, k))
+    for k, tree in enumerate(content.defined_trees):
+        values.append(value(content.defined_linear, tree, k))
     rows, objectives = (
-        np.array([value(matrix, trees, k) for k in range(trees.size)])
+        np.array([value(matrix, tree, k) for k, tree in enumerate(trees)])
         for matrix, trees in (
             (content.linear, content.trees),
             (content.objective_linear, content.objective_trees),

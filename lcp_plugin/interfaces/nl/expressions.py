@@ -23,10 +23,9 @@ from ...core.errors import UnsupportedModel
 from ...expressions import functions
 from ...expressions.functions import Function
 from ...expressions.rows import Compiler, Rows
-from .reading import OPERATOR_NAMES, Indices, NLContent, Token, Trees
+from .reading import OPERATOR_NAMES, Indices, NLContent, Tree, variables_in
 
 T = TypeVar("T")
-NUMBER, VARIABLE, OPERATOR = int(Token.NUMBER), int(Token.VARIABLE), int(Token.OPERATOR)
 REMEDIES = {
     "abs": "abs(x) is x + 2 s with s >= 0 complements x + s >= 0",
     "max": "max(a, b) is a + s with s >= 0 complements a + s - b >= 0",
@@ -35,12 +34,12 @@ REMEDIES = {
 
 
 def evaluated_tree(
-    trees: Trees, k: int, leaf: Callable[[int, float], T], operation: Callable[[int, list[T]], T]
+    tree: Tree, leaf: Callable[[str, float], T], operation: Callable[[int, list[T]], T]
 ) -> T:
-    """Return the value of tree k, by rules for leaves (type and value) and operators."""
+    """Return the value of a tree, by rules for leaves (type and value) and operators."""
     stack: list[T] = []
-    for kind, value, count in reversed(trees.tokens(k)):
-        if kind != OPERATOR:
+    for kind, value, count in reversed(tree):
+        if kind != "o":
             stack.append(leaf(kind, value))
             continue
         operands = stack[: -count - 1 : -1]
@@ -131,17 +130,17 @@ class _ExpressionReader:
         self._defined: list[Sum] = []
         self._uses = _counted_uses(content)
         rows, goals, defined = content.trees, content.objective_trees, content.defined_trees
-        size = sum(trees.values.size for trees in (rows, goals, defined))
+        size = sum(map(len, chain(rows, goals, defined)))
         # Substituted definitions may fill in four times the entries
         self._capacity = 4 * (size + content.defined_linear.nnz + content.linear.nnz) + 1000
-        for k in range(defined.size):
+        for k in range(len(defined)):
             self._define(k)
-        self.results = [self._sum(rows, k, content.row(k)) for k in range(rows.size)]
-        self.results += [self._sum(goals, k, f"objective {k}") for k in range(goals.size)]
+        self.results = [self._sum(tree, content.row(k)) for k, tree in enumerate(rows)]
+        self.results += [self._sum(tree, f"objective {k}") for k, tree in enumerate(goals)]
 
-    def _sum(self, trees: Trees, k: int, name: str) -> Sum:
+    def _sum(self, tree: Tree, name: str) -> Sum:
         self._name = name
-        return evaluated_tree(trees, k, self._leaf, self._operation)
+        return evaluated_tree(tree, self._leaf, self._operation)
 
     def _define(self, number: int) -> None:
         """Decide how a defined variable is represented.
@@ -152,11 +151,12 @@ class _ExpressionReader:
         if not self._uses[number]:
             self._defined.append(Sum({}, 0.0))
             return
-        definition = self._sum(self.content.defined_trees, number, f"defined variable {number}")
+        tree = self.content.defined_trees[number]
+        definition = self._sum(tree, f"defined variable {number}")
         linear, n = self.content.defined_linear, self.n
         for column, value in zip(*entries_of_row(linear, number), strict=True):
             if value:
-                definition = definition.add(self._leaf(VARIABLE, column).scaled(value))
+                definition = definition.add(self._leaf("v", column).scaled(value))
         added = (self._uses[number] - 1) * len(definition.terms)
         if added <= self._capacity and (definition.level == 0 or len(definition.terms) <= 1):
             self._capacity -= added
@@ -168,8 +168,8 @@ class _ExpressionReader:
             definition = Sum({n + number: 1.0}, 0.0)
         self._defined.append(definition)
 
-    def _leaf(self, kind: int, value: float) -> Sum:
-        if kind == NUMBER:
+    def _leaf(self, kind: str, value: float) -> Sum:
+        if kind == "n":
             return Sum({}, value)
         column = int(value)
         if column >= self.n:
@@ -243,10 +243,9 @@ class _ExpressionReader:
 def _counted_uses(content: NLContent) -> list[int]:
     """Return the number of sums that use each defined variable."""
     n, linear = content.lower.size, content.defined_linear
-    forests = content.trees, content.objective_trees, content.defined_trees
-    used = [trees.values[trees.kinds == Token.VARIABLE].astype(np.int64) for trees in forests]
-    columns = np.concatenate([linear.indices[linear.data != 0.0], *used])
-    return np.bincount(columns[columns >= n] - n, minlength=content.defined_trees.size).tolist()
+    used = variables_in(chain(content.trees, content.objective_trees, content.defined_trees))
+    columns = np.append(linear.indices[linear.data != 0.0], used)
+    return np.bincount(columns[columns >= n] - n, minlength=len(content.defined_trees)).tolist()
 
 
 class Expressions:
@@ -276,7 +275,7 @@ class Expressions:
     def __init__(self, content: NLContent, known: Vector, *, adds_unknowns: bool = True) -> None:
         is_known = ~np.isnan(known)
         reader = _ExpressionReader(content, known.tolist(), adds_unknowns)
-        n, d, count = (content.lower.size, content.defined_trees.size, len(reader.functions))
+        n, d, count = content.lower.size, len(content.defined_trees), len(reader.functions)
         names = (function.name for function in reader.functions)
         keys = list(zip(reader.levels, names, strict=True))
         order = np.array(sorted(range(count), key=keys.__getitem__), dtype=np.int64)

@@ -9,6 +9,7 @@ from __future__ import annotations
 from abc import ABC, abstractmethod
 from collections.abc import Callable
 from dataclasses import dataclass, field, replace
+from itertools import compress
 from os import PathLike
 from typing import Any
 
@@ -37,7 +38,7 @@ from ...problems.statement import STATUS_ELSEWHERE, SquareModel, Statement, solv
 from ...solving.dispatch import solve
 from ...solving.result import Outcome, Result
 from .expressions import UNKNOWNS, Expressions
-from .reading import Indices, NLContent, Token, read_content
+from .reading import Indices, NLContent, read_content, variables_in
 
 SIDE_CONDITION = 1e-6  # by which a side condition may be violated, or ten times the tolerance
 
@@ -172,13 +173,13 @@ class NLModel(ABC):
 
     def variables(self, values: Vector) -> Vector:
         """Return all variables, shape (n,), from the values of the unknowns."""
-        x = np.append(self.known, np.zeros(self.content.defined_trees.size))
+        x = np.append(self.known, np.zeros(len(self.content.defined_trees)))
         x[self.unknowns] = values
         return x[: self.known.size]
 
     def starts(self) -> Vector:
         """Return the start of each unknown, 0 for defined variables."""
-        start = np.append(self.content.start, np.zeros(self.content.defined_trees.size))
+        start = np.append(self.content.start, np.zeros(len(self.content.defined_trees)))
         return start[self.unknowns]
 
     def objective(self, x: Vector) -> float:
@@ -261,7 +262,7 @@ class ComplementarityModel(NLModel):
     def values(self, z: Vector, w: Vector) -> tuple[Vector, Vector]:
         """Return the variables, and the values of the complementarity rows, 0 for other rows."""
         elimination = self.arrangement.elimination
-        slack = np.zeros(self.known.size + self.content.defined_trees.size)
+        slack = np.zeros(self.known.size + len(self.content.defined_trees))
         slack[self.unknowns] = elimination.expand_slack(w)
         duals = np.zeros(self.content.row_lower.size)
         duals[self.pairs] = slack[self.content.partners[self.pairs]]
@@ -476,15 +477,12 @@ class FileStatement:
     def _known(self, leaves_out: BoolVector) -> Vector:
         """Return the values of fixed variables and of variables that occur in no remaining row."""
         content, occurs = self.content, self.is_paired.copy()
-        objectives, defined = content.objective_trees, content.defined_trees
-        for trees, linear, is_kept in (
-            (content.trees, content.linear, ~leaves_out),
-            (objectives, content.objective_linear, np.ones(objectives.size, dtype=bool)),
-            (defined, content.defined_linear, np.ones(defined.size, dtype=bool)),
+        for trees, linear in (
+            (compress(content.trees, ~leaves_out), content.linear[~leaves_out]),
+            (content.objective_trees, content.objective_linear),
+            (content.defined_trees, content.defined_linear),
         ):
-            is_used = np.repeat(is_kept, np.diff(trees.starts)) & (trees.kinds == Token.VARIABLE)
-            used = trees.values[is_used].astype(np.int64)
-            columns = np.append(used, linear[is_kept].nonzero()[1])
+            columns = np.append(variables_in(trees), linear.nonzero()[1])
             occurs[columns[columns < self.n]] = True
         is_known = ~self.is_paired & ((content.lower == content.upper) | ~occurs)
         return np.where(is_known, content.start, np.nan)
@@ -578,7 +576,7 @@ class FileStatement:
     def _statement(self) -> Statement:
         """Return the unknowns with their bounds."""
         content, unknowns = self.content, self.expressions.unknowns
-        free = np.full(content.defined_trees.size, np.inf)
+        free = np.full(len(content.defined_trees), np.inf)
         ends = np.append(content.lower, -free)[unknowns], np.append(content.upper, free)[unknowns]
         return Statement(self.expressions.compiler, {UNKNOWNS: 0}, *ends, self.name)
 

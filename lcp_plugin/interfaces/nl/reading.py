@@ -9,9 +9,8 @@ from __future__ import annotations
 import math
 import struct
 from array import array
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass
-from enum import IntEnum
 from functools import partial
 from os import PathLike
 from pathlib import Path
@@ -156,62 +155,20 @@ WITH_TOLERANCE = 3  # as the second option: the first line ends with a tolerance
 LITTLE_ENDIAN, BIG_ENDIAN = (1, 2)
 
 
-class Token(IntEnum):
-    """Type of a token of an expression tree."""
-
-    NUMBER = 0  # its value
-    VARIABLE = 1  # the number of a variable; from n on, of a defined variable
-    OPERATOR = 2  # AMPL's number of the operator: 0 plus, 2 times …
+#: An expression in prefix order, an operator before its operands: n, v or o; the number, or the number of the variable
+#: (from n on, of a defined variable) or of AMPL's operator; and how many operands follow.
+Tree = list[tuple[str, float, int]]
 
 
-@dataclass(frozen=True, eq=False)
-class Trees:
-    """Expression trees in one array, each in prefix order: an operator, then the operands.
+def number_tree(value: float) -> Tree:
+    """Return the expression that is a number."""
+    return [("n", value, 0)]
 
-    Attributes
-    ----------
-    kinds : ndarray of uint8, shape (t,)
-        Type of every token, a `Token`.
-    values : ndarray of float64, shape (t,)
-        The number, or the number of the variable or operator.
-    counts : ndarray of int64, shape (t,)
-        Number of operands that follow; 0 unless the token is an operator.
-    starts : ndarray of int64, shape (k + 1,)
-        Tree j is the tokens starts[j] to starts[j + 1]; every tree has at least one, a linear row the number 0.
-    """
 
-    kinds: NDArray[np.uint8]
-    values: Vector
-    counts: Indices
-    starts: Indices
-
-    @classmethod
-    def of_numbers(cls, values: Vector) -> Trees:
-        """Return a tree a number."""
-        k = values.size
-        kinds, counts = np.full(k, Token.NUMBER, np.uint8), np.zeros(k, dtype=np.int64)
-        return cls(kinds, values, counts, np.arange(k + 1))
-
-    def plus(self, constants: Vector) -> Trees:
-        """Return the trees with a number added to each, shape (k,)."""
-        is_added = constants != 0.0
-        at, k = np.repeat(self.starts[:-1][is_added], 2), int(is_added.sum())
-        # 0 is the number of the operator +
-        values = np.column_stack([np.full(k, 0), constants[is_added]]).ravel()
-        kinds = np.insert(self.kinds, at, [Token.OPERATOR, Token.NUMBER] * k)
-        values, counts = np.insert(self.values, at, values), np.insert(self.counts, at, [2, 0] * k)
-        return Trees(kinds, values, counts, self.starts + 2 * np.append(0, np.cumsum(is_added)))
-
-    @property
-    def size(self) -> int:
-        """The number of trees."""
-        return self.starts.size - 1
-
-    def tokens(self, k: int) -> list[tuple[int, float, int]]:
-        """Return kind, value and number of operands of each token of tree k."""
-        part = slice(self.starts[k], self.starts[k + 1])
-        columns = (column[part].tolist() for column in (self.kinds, self.values, self.counts))
-        return list(zip(*columns, strict=True))
+def variables_in(trees: Iterable[Tree]) -> Indices:
+    """Return the numbers of the variables in expressions, as often as they occur."""
+    found = [value for tree in trees for kind, value, _ in tree if kind == "v"]
+    return np.array(found, dtype=np.int64)
 
 
 @dataclass(frozen=True, eq=False)
@@ -230,15 +187,15 @@ class NLContent:
         Finite bounds of the partner: 1 the lower, 2 the upper, 3 both, 0 none.
     linear : CSR array, shape (m, n)
         The linear terms of the rows; a variable that occurs only in the tree has an explicit 0.
-    trees : Trees
-        The nonlinear terms of the rows, m trees.
+    trees : list of Tree
+        The nonlinear terms of the rows; of a linear row a number.
     is_maximized : ndarray of bool, shape (o,)
         True for an objective that is maximized.
     objective_linear, objective_trees
         Terms of the objectives, stored like the rows.
     defined_linear : CSR array, shape (d, n + d)
         The linear terms of defined variables; each uses only variables defined before.
-    defined_trees : Trees
+    defined_trees : list of Tree
     is_integer : ndarray of bool, shape (n,)
     start : ndarray, shape (n,)
         0 if the file gives no start.
@@ -259,12 +216,12 @@ class NLContent:
     partners: Indices
     partner_bounds: Indices
     linear: sp.csr_array
-    trees: Trees
+    trees: list[Tree]
     is_maximized: NDArray[np.bool_]
     objective_linear: sp.csr_array
-    objective_trees: Trees
+    objective_trees: list[Tree]
     defined_linear: sp.csr_array
-    defined_trees: Trees
+    defined_trees: list[Tree]
     is_integer: NDArray[np.bool_]
     start: Vector
     has_start: NDArray[np.bool_]
@@ -299,7 +256,6 @@ SKIPPED = {"k": "i", "K": "i", "d": "id", "S": "ii"}  # entries of columns, mult
 #: The numbers behind a letter in bytes: of a number, and of the kind of a bound.
 NUMBERS = {"n": "d", "l": "i", "s": "h"}
 BOUNDS = {"0": "dd", "1": "d", "2": "d", "3": "", "4": "d", "5": "ii"}
-TOKENS = dict.fromkeys(NUMBERS, Token.NUMBER) | {"v": Token.VARIABLE, "o": Token.OPERATOR}
 NO_SEGMENT = f"no segment begins here; the letters are {' '.join(HEADS)}"
 NO_PART = "a part of an expression is needed here"
 HAVE_LOWER, HAVE_UPPER = (0, 2, 4), (0, 1, 4)  # kinds of bounds
@@ -445,8 +401,7 @@ class _Reader:
         #: Number of possible owners of a segment.
         self.owners = dict.fromkeys("CJ", self.header.rows) | {"V": self.header.defined}
         self.owners |= dict.fromkeys("OG", self.header.objectives)
-        self.kinds, self.values, self.counts = bytearray(), array("d"), array("q")
-        self.trees: dict[str, dict[int, tuple[int, int]]] = {letter: {} for letter in "COV"}
+        self.trees: dict[str, dict[int, Tree]] = {letter: {} for letter in "COV"}
         # Row, index and value of each linear term.
         self.entries = {letter: (array("q"), array("q"), array("d")) for letter in "JGVx"}
         self.bounds: dict[str, list[tuple[float, float, int, int]]] = {"b": [], "r": []}
@@ -488,30 +443,26 @@ class _Reader:
 
     def _read_tree(self, letter: str, owner: int, variables: int) -> None:
         """Read an expression over that many variables."""
-        begin, missing = len(self.kinds), 1
+        tree, missing = Tree(), 1
         while missing:
-            kind, value, count = self._token(variables)
-            self.kinds.append(kind)
-            self.values.append(value)
-            self.counts.append(count)
-            missing += count - 1
-        self.trees[letter][owner] = begin, len(self.kinds)
+            tree.append(token := self._token(variables))
+            missing += token[-1] - 1
+        self.trees[letter][owner] = tree
 
-    def _token(self, variables: int) -> tuple[Token, float, int]:
+    def _token(self, variables: int) -> tuple[str, float, int]:
         """Return the next part of an expression: its kind, its value and how many operands follow."""
         source, letter = self.source, self.source.letter()
-        if letter not in TOKENS:
-            source.fail(NO_PART if letter in HEADS else NO_NUMBERS)
-        kind = TOKENS[letter]
-        if kind is Token.NUMBER:
+        if letter in NUMBERS:
             value = float(source.behind(NUMBERS[letter])[0])
             if not math.isfinite(value):
                 source.fail("a number is not finite")
-            return kind, value, 0
+            return "n", value, 0
+        if letter not in ("v", "o"):
+            source.fail(NO_PART if letter in HEADS else NO_NUMBERS)
         (number,) = source.behind("i")
-        if kind is Token.VARIABLE:
+        if letter == "v":
             self._require_below(number, variables, "a variable that is allowed here")
-            return kind, number, 0
+            return letter, number, 0
         if number not in ARITY:
             source.fail("this operator number is unknown")
         count = ARITY[number]
@@ -521,7 +472,7 @@ class _Reader:
             if not factor <= operands <= len(self.source.data):
                 self.source.fail(f"an operator cannot have {operands} operands here")
             count = factor * operands
-        return kind, number, count
+        return letter, number, count
 
     def _read_pairs(self, letter: str, owner: int, count: int, reach: int) -> None:
         """Read `count` indices below `reach` with their values."""
@@ -626,15 +577,9 @@ class _Reader:
         matrix.sort_indices()
         return matrix
 
-    def _trees(self, letter: str, count: int) -> Trees:
-        """Return a tree for each owner in order; the number 0 for an owner without a tree."""
-        end = len(self.kinds)
-        spans = [self.trees[letter].get(k, (end, end + 1)) for k in range(count)]
-        items = np.concatenate([np.zeros(0, np.int64), *(np.arange(*span) for span in spans)])
-        kinds = np.frombuffer(self.kinds + b"\0", dtype=np.uint8)[items]
-        values, counts = np.append(self.values, 0.0), np.append(np.array(self.counts), 0)
-        starts = np.cumsum([0, *(last - first for first, last in spans)])
-        return Trees(kinds, values[items], counts[items], starts)
+    def _trees(self, letter: str, count: int) -> list[Tree]:
+        """Return the expression of each owner in order; the number 0 for an owner without one."""
+        return [self.trees[letter].get(k) or number_tree(0.0) for k in range(count)]
 
     def _integers(self) -> Any:
         """Return the mask of integer variables, the last ones of each group of the format."""

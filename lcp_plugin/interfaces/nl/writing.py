@@ -15,9 +15,17 @@ from ...core.errors import InvalidProblem
 from ...core.files import checked_path, write_whole
 from ...core.lcp import LCP
 from ...core.problem_classes import foreign_function
-from .reading import ARITY, NARY, PARTNER, PIECEWISE, WITH_TOLERANCE, NLContent, Token, Trees
-
-LETTERS = {Token.NUMBER: b"n", Token.VARIABLE: b"v", Token.OPERATOR: b"o"}
+from .reading import (
+    ARITY,
+    NARY,
+    PARTNER,
+    PIECEWISE,
+    WITH_TOLERANCE,
+    NLContent,
+    Tree,
+    number_tree,
+    variables_in,
+)
 
 
 def write_nl(problem: object, path: str | PathLike[str]) -> None:
@@ -63,8 +71,8 @@ def _content_of(problem: Any) -> NLContent:
         n, (lower, upper) = problem.n, (problem.lower, problem.upper)
         free, zero, no = np.full(n, np.inf), np.zeros(n), np.zeros(n, dtype=bool)
         pairs = np.arange(n), np.isfinite(lower) + 2 * np.isfinite(upper)
-        rows = -free, free, *pairs, problem.csr, Trees.of_numbers(problem.q)
-        nothing = sp.csr_array((0, n)), Trees.of_numbers(zero[:0])
+        rows = -free, free, *pairs, problem.csr, [*map(number_tree, problem.q.tolist())]
+        nothing = sp.csr_array((0, n)), list[Tree]()
         return NLContent(lower, upper, *rows, no[:0], *nothing, *nothing, no, zero, no)
     if not isinstance(problem, NLContent):
         raise InvalidProblem(f"an .nl file states an LCP or a model, got {type(problem).__name__}")
@@ -84,17 +92,17 @@ class TextWriter:
         """Return the file as a list of strings."""
         content, n = self.content, self.content.lower.size
         self.out.append(self._head().encode())
-        for k in range(content.defined_trees.size):
+        for k, tree in enumerate(content.defined_trees):
             row = entries_of_row(content.defined_linear, k)
             self._line("V", (n + k, len(row[0]), 0))
             self._pairs(*row)
-            self._tree(content.defined_trees, k)
-        for i in range(content.trees.size):
+            self._tree(tree)
+        for i, tree in enumerate(content.trees):
             self._line("C", (i,))
-            self._tree(content.trees, i)
-        for k in range(content.objective_trees.size):
+            self._tree(tree)
+        for k, tree in enumerate(content.objective_trees):
             self._line("O", (k, int(content.is_maximized[k])))
-            self._tree(content.objective_trees, k)
+            self._tree(tree)
         if content.has_start.any():
             indices = np.flatnonzero(content.has_start)
             self._line("x", (indices.size,))
@@ -113,7 +121,7 @@ class TextWriter:
 
     def _head(self) -> str:
         content = self.content
-        n, m, o = (content.lower.size, content.row_lower.size, content.objective_trees.size)
+        n, m, o = content.lower.size, content.row_lower.size, len(content.objective_trees)
         low, high, is_pair = content.row_lower, content.row_upper, content.partners >= 0
         is_equation = ~is_pair & (low == high)
         is_range = ~is_pair & ~is_equation & np.isfinite(low) & np.isfinite(high)
@@ -131,7 +139,7 @@ class TextWriter:
             (0, *integers),
             (content.linear.nnz, content.objective_linear.nnz),
             (_longest(content.row_names), _longest(content.names)),
-            (content.defined_trees.size, 0, 0, 0, 0),
+            (len(content.defined_trees), 0, 0, 0, 0),
         ]
         first = f"{self.format}{' '.join(map(str, content.options))}{tolerance}"
         numbers = "".join(f" {' '.join(map(str, line))}\n" for line in lines)
@@ -153,14 +161,10 @@ class TextWriter:
         for kind, *numbers in stated_bounds(self.content, lower, upper, is_rows=letter == "r"):
             self.out.append(" ".join([str(kind), *map(repr, numbers)]).encode() + b"\n")
 
-    def _tree(self, trees: Trees, k: int) -> None:
-        for kind, value, count in trees.tokens(k):
-            if kind == Token.NUMBER:
-                self.out.append(f"n{value!r}\n".encode())
-            else:
-                self.out.append(LETTERS[Token(kind)] + b"%d\n" % value)
-                if kind == Token.OPERATOR and (behind := count_behind(int(value), count)):
-                    self.out.append(b"%d\n" % behind)
+    def _tree(self, tree: Tree) -> None:
+        for kind, value, count in tree:
+            behind = count_behind(int(value), count) if kind == "o" else 0
+            self.out.append(f"{kind}{value!r}\n".encode() + b"%d\n" % behind * (behind > 0))
 
 
 def count_behind(operator: int, count: int) -> int:
@@ -184,9 +188,9 @@ def stated_bounds(
             yield (2, low) if high == np.inf else (0, low, high)
 
 
-def _has_variables(trees: Trees) -> Any:
+def _has_variables(trees: list[Tree]) -> Any:
     """Return the mask of trees that are not a single number."""
-    return (np.diff(trees.starts) > 1) | (trees.kinds[trees.starts[:-1]] != Token.NUMBER)
+    return np.array([len(tree) > 1 or tree[0][0] != "n" for tree in trees], dtype=bool)
 
 
 def _longest(names: list[str] | None) -> int:
@@ -197,12 +201,12 @@ def _groups(content: NLContent) -> tuple[int, int, tuple[int, int, int, int]]:
     """Return up to which variable the rows and the objectives are nonlinear, and the integers of each group."""
     n = content.lower.size
 
-    def most(*forests: Trees) -> int:
-        used = np.concatenate([trees.values[trees.kinds == Token.VARIABLE] for trees in forests])
-        return int(used[used < n].max(initial=-1.0)) + 1
+    def most(*trees: Tree) -> int:
+        used = variables_in(trees)
+        return int(used[used < n].max(initial=-1)) + 1
 
-    in_rows = most(content.trees, content.defined_trees)
-    in_objectives = most(content.objective_trees, content.defined_trees)
+    in_rows = most(*content.trees, *content.defined_trees)
+    in_objectives = most(*content.objective_trees, *content.defined_trees)
     in_objectives = max(in_objectives, in_rows) if in_objectives else 0
     is_integer = content.is_integer
     integers = np.flatnonzero(is_integer)

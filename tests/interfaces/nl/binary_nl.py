@@ -10,15 +10,8 @@ from typing import Any
 import numpy as np
 
 from lcp_plugin.interfaces.nl import write_nl
-from lcp_plugin.interfaces.nl.reading import (
-    BIG_ENDIAN,
-    LITTLE_ENDIAN,
-    PARTNER,
-    NLContent,
-    Token,
-    Trees,
-)
-from lcp_plugin.interfaces.nl.writing import LETTERS, TextWriter, count_behind, stated_bounds
+from lcp_plugin.interfaces.nl.reading import BIG_ENDIAN, LITTLE_ENDIAN, PARTNER, NLContent, Tree
+from lcp_plugin.interfaces.nl.writing import TextWriter, count_behind, stated_bounds
 
 
 def write_form(
@@ -67,11 +60,11 @@ class BinaryWriter(TextWriter):
                 b"%d" % kind + struct.pack(f"{self.order}{len(numbers)}{form}", *numbers)
             )
 
-    def _tree(self, trees: Trees, k: int) -> None:
-        for kind, value, count in trees.tokens(k):
-            self.out.append(LETTERS[Token(kind)])
-            if kind == Token.NUMBER:
+    def _tree(self, tree: Tree) -> None:
+        for kind, value, count in tree:
+            self.out.append(kind.encode())
+            if kind == "n":
                 self.out.append(struct.pack(self.order + "d", value))
             else:
-                behind = count_behind(int(value), count) if kind == Token.OPERATOR else 0
+                behind = count_behind(int(value), count) if kind == "o" else 0
                 self.out.append(self._integers(int(value), *[behind] * (behind > 0)))

@@ -9,14 +9,7 @@ from typing import Any
 import numpy as np
 import scipy.sparse as sp
 
-from lcp_plugin.interfaces.nl.reading import (
-    NARY,
-    OPERATOR_NAMES,
-    PIECEWISE,
-    NLContent,
-    Token,
-    Trees,
-)
+from lcp_plugin.interfaces.nl.reading import NARY, OPERATOR_NAMES, PIECEWISE, NLContent, Tree
 
 WRONG_NUMBERS = (
     b"-1",
@@ -83,26 +76,24 @@ def _matrix(rng: Any, count: int, reach: Any, width: int) -> sp.csr_array:
                         shape=(count, width))  # fmt: skip
 
 
-def _trees(rng: Any, reach: Any) -> Trees:
-    tokens: list[tuple[int, float, int]] = []
-    starts = [0]
+def _trees(rng: Any, reach: Any) -> list[Tree]:
+    trees = []
     for k in reach:
-        wanted, most = 1, int(rng.integers(1, 20))
+        tree, wanted, most = Tree(), 1, int(rng.integers(1, 20))
         while wanted:
-            kind = rng.choice(3, p=[0.3, 0.3, 0.4]) if len(tokens) - starts[-1] < most else 0
+            kind = "nvo"[rng.choice(3, p=[0.3, 0.3, 0.4])] if len(tree) < most else "n"
             value, count = float(_numbers(rng, 1)[0]), 0
-            if kind == Token.VARIABLE:
-                value = float(rng.integers(0, k))
-            elif kind == Token.OPERATOR:
+            if kind == "v":
+                value = int(rng.integers(0, k))
+            elif kind == "o":
                 value, count = _operator(rng)
-            tokens.append((int(kind), value, count))
+            tree.append((kind, value, count))
             wanted += count - 1
-        starts.append(len(tokens))
-    kinds, values, counts = np.array(tokens, dtype=np.float64).reshape(-1, 3).T
-    return Trees(kinds.astype(np.uint8), values, counts.astype(np.int64), np.array(starts))
+        trees.append(tree)
+    return trees
 
 
-def _operator(rng: Any) -> tuple[float, int]:
+def _operator(rng: Any) -> tuple[int, int]:
     counts = {
         1: 1,
         2: 2,
@@ -111,7 +102,7 @@ def _operator(rng: Any) -> tuple[float, int]:
         PIECEWISE: 2 * int(rng.integers(2, 4)),
     }
     arity = int(rng.choice([*counts], p=[0.3, 0.4, 0.1, 0.15, 0.05]))
-    return float(rng.choice([*OPERATOR_NAMES[arity]])), counts[arity]
+    return int(rng.choice([*OPERATOR_NAMES[arity]])), counts[arity]
 
 
 def difference(one: NLContent, other: NLContent) -> str:
@@ -127,10 +118,7 @@ def _bits(part: Any, whole: NLContent) -> Any:
         return part.shape, *(
             _bits(numbers, whole) for numbers in (part.data, part.indices * 1, part.indptr * 1)
         )
-    if isinstance(part, Trees):
-        arrays = (part.kinds, part.values, part.counts, part.starts)
-        return tuple(_bits(numbers, whole) for numbers in arrays)
-    return part
+    return repr(part)
 
 
 def mutilated(data: bytes, rng: Any) -> bytes:

@@ -19,7 +19,7 @@ from tools.nl_files import content_of, read_sol
 
 from lcp_plugin.commands import ampl, cli
 from lcp_plugin.interfaces.nl import write_nl
-from lcp_plugin.interfaces.nl.reading import NLContent, Trees
+from lcp_plugin.interfaces.nl.reading import NLContent
 
 Z, W = np.array([1.5, 0.0, 2.0]), np.array([0.0, 0.25, 0.0])
 M = np.array([[4.0, -1.0, 0.0], [-1.0, 4.0, -1.0], [0.0, -1.0, 4.0]])
@@ -91,18 +91,8 @@ def best(objective: Any, least: float = -np.inf, **changes: Any) -> NLContent:
     return replace(one, **changes)
 
 
-def tree(*tokens: tuple[int, float, int]) -> Trees:
-    kinds, values, counts = np.array(tokens).T
-    return Trees(
-        kinds.astype(np.uint8),
-        values.astype(float),
-        counts.astype(np.int64),
-        np.array([0, len(tokens)]),
-    )
-
-
-CONCAVE = tree((2, 16.0, 1), (2, 5.0, 2), (1, 1.0, 0), (0, 2.0, 0))  # -(y^2)
-EXPONENTIAL, UNKNOWN = tree((2, 44.0, 1), (1, 1.0, 0)), tree((2, 49.0, 1), (1, 1.0, 0))
+CONCAVE = [[("o", 16, 1), ("o", 5, 2), ("v", 1, 0), ("n", 2.0, 0)]]  # -(y^2)
+EXPONENTIAL, UNKNOWN = [[("o", 44, 1), ("v", 1, 0)]], [[("o", 49, 1), ("v", 1, 0)]]
 KNAPSACK = np.random.default_rng(0).integers(1, 1000, (4, 40)).astype(float)
 
 

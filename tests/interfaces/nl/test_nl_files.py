@@ -21,7 +21,7 @@ from tools.nl_files import content_of_rows, read_sol
 from lcp_plugin import LCP, NonlinearProblem
 from lcp_plugin.core import errors
 from lcp_plugin.interfaces.nl import read_content, write_nl, write_sol
-from lcp_plugin.interfaces.nl.reading import Trees
+from lcp_plugin.interfaces.nl.reading import number_tree
 
 FORMS = {"text": {}, "little": {"binary": True}, "big": {"binary": True, "big_endian": True}}
 SMALL = b"""g3 1 1 0	# two variables, x0 + exp(x1) - 2 complementary to x0 >= 0, x0 x1 = 1
@@ -87,7 +87,8 @@ def test_a_small_file_says_what_it_says(tmp_path):
     assert content.row_lower.tolist() == [-np.inf, 1]
     assert content.linear.toarray().tolist() == [[1, 0], [0, 0]]
     assert content.defined_linear.toarray().tolist() == [[-1.5, 0, 0]]
-    assert content.trees.values.tolist() == [0, 2, -2, 2, 0, 1]
+    assert content.trees[0] == [("o", 0, 2), ("v", 2, 0), ("n", -2.0, 0)]
+    assert content.trees[1] == [("o", 2, 2), ("v", 0, 0), ("v", 1, 0)]
     assert (content.start.tolist(), content.has_start.tolist()) == ([0, 0.5], [False, True])
     assert content.options == (3, 1, 1, 0)
 
@@ -217,13 +218,10 @@ def require_refused_or_valid(folder: Path, data: bytes) -> None:
 def test_depth_costs_nothing(tmp_path, form, end):
     """A tree of 10⁵ levels is read, or raises an error if its end is missing, without recursion."""
     levels = 100_000
-    kinds, values = np.full(levels + 2, 2, dtype=np.uint8), np.full(levels + 2, 16.0)
-    # row 0 is a number, row 1 the chain of minus signs
-    kinds[[0, -1]], values[[0, -1]] = (0, [0.0, 1.0])
-    trees = Trees(kinds, values, np.where(kinds == 2, 1, 0), np.array([0, 1, levels + 2]))
+    trees = [number_tree(0.0), [("o", 16, 1)] * levels + number_tree(1.0)]
     write_form(replace(read(tmp_path, SMALL), trees=trees), tmp_path / "m.nl", **FORMS[form])
     data = (tmp_path / "m.nl").read_bytes()
-    assert read(tmp_path, data).trees.counts.sum() == levels
+    assert read(tmp_path, data).trees == trees
     with pytest.raises(
         errors.UnreadableFile, match=r"ends within a segment|part of an expression is needed"
     ):
@@ -254,7 +252,7 @@ def test_answers_are_read_by_ourselves_and_by_both_readers_of_pyomo(tmp_path, op
     x, y = (np.array([1.5, -1e-7, 0.1]), np.array([0.0, 1e300])) if has_values else (None, None)
     path, message = tmp_path / "m.sol", "lcp_plugin: solved\n\nOptions in a message\nresidual 1e-9"
     content = content_of_rows(
-        np.zeros(3), np.ones(3), sp.csr_array((2, 3)), Trees.of_numbers(np.zeros(2)), (np.zeros(2), np.ones(2)),
+        np.zeros(3), np.ones(3), sp.csr_array((2, 3)), [number_tree(0.0)] * 2, (np.zeros(2), np.ones(2)),
         np.full(2, -1), np.zeros(2, dtype=np.int64),
     )  # fmt: skip
     tolerance = 0.5 if options[2] == 3 else None

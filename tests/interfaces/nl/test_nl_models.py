@@ -20,7 +20,7 @@ from lcp_plugin import LCP, QuadraticProgram, Status, UnsupportedModel, compleme
 from lcp_plugin.expressions.rows import Program
 from lcp_plugin.interfaces.nl import model_of, write_nl
 from lcp_plugin.interfaces.nl.expressions import UNKNOWNS, Expressions
-from lcp_plugin.interfaces.nl.reading import NLContent, Token, Trees
+from lcp_plugin.interfaces.nl.reading import NLContent
 from lcp_plugin.modeling.registration import build
 
 INFINITY = math.inf
@@ -44,30 +44,20 @@ STEP = 1e-30  # of complex differentiation, which has no subtraction and so no c
 Tree = Any
 
 
-def tokens_of(tree: Tree) -> list[tuple[int, float, int]]:
+def tokens_of(tree: Tree) -> list[tuple[str, float, int]]:
     """The prefix tokens of a tree, however deep."""
     found, waiting = [], [tree]
     while waiting:
         one = waiting.pop()
         if not isinstance(one, tuple):
-            found.append((Token.NUMBER, float(one), 0))
+            found.append(("n", float(one), 0))
         elif one[0] == "x":
-            found.append((Token.VARIABLE, float(one[1]), 0))
+            found.append(("v", one[1], 0))
         else:
             number = NUMBERS[one[0]] if isinstance(one[0], str) else one[0]
-            found.append((Token.OPERATOR, float(number), len(one) - 1))
+            found.append(("o", number, len(one) - 1))
             waiting.extend(one[:0:-1])
     return found
-
-
-def trees_of(trees: list[Tree]) -> Trees:
-    """Trees as arrays."""
-    rows = [tokens_of(tree) for tree in trees]
-    flat = np.array([token for row in rows for token in row], dtype=np.float64).reshape(-1, 3)
-    starts = np.cumsum([0, *map(len, rows)]).astype(np.int64)
-    return Trees(
-        flat[:, 0].astype(np.uint8), flat[:, 1].copy(), flat[:, 2].astype(np.int64), starts
-    )
 
 
 def content_of(
@@ -97,15 +87,15 @@ def content_of(
             np.full(n, -INFINITY),
             np.full(n, INFINITY),
             matrix(linear, m),
-            trees_of(rows),
+            [*map(tokens_of, rows)],
             (np.zeros(m), np.zeros(m)),
             np.full(m, -1),
             np.zeros(m, dtype=np.int64),
         ),
-        objective_trees=trees_of(objectives),
+        objective_trees=[*map(tokens_of, objectives)],
         objective_linear=matrix(objective_linear, len(objectives)),
         is_maximized=np.array([is_maximized] * len(objectives), dtype=bool),
-        defined_trees=trees_of(defined),
+        defined_trees=[*map(tokens_of, defined)],
         defined_linear=matrix(defined_linear, d, n + d),
     )
     return replace(
@@ -159,7 +149,7 @@ def program_of(content: NLContent) -> Program:
     found = Expressions(content, np.full(content.lower.size, np.nan))
     return Program.of(
         found.compiler,
-        [found.rows(np.arange(content.trees.size))],
+        [found.rows(np.arange(len(content.trees)))],
         {UNKNOWNS: 0},
         content.lower.size,
     )

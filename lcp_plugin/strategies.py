@@ -50,12 +50,12 @@ except ImportError:
         "lcp_plugin.strategies needs hypothesis; install it with: pip install hypothesis (or lcp_plugin[test])"
     ) from None
 
-from .core.checks import AnyMatrix, Array, Vector, checked_vector, is_number
+from .core.checks import AnyMatrix, Vector, checked_vector, is_number
 from .core.errors import InvalidOption, InvalidProblem
 from .core.lcp import LCP
 from .core.settings import whole_number
 from .problems.programs.conversion import QuadraticProgram
-from .proofs.exact import exact_residuals, exact_slack, is_exact_solution
+from .proofs.exact import exact_residuals, exact_slack, is_exact_solution, rational
 from .proofs.no_solution import Infeasibility
 from .proofs.verdicts import analyze
 
@@ -421,7 +421,7 @@ def solved_lcps(
             q = exact_offset(M, z, w)
         except InvalidProblem:  # no space for huge slacks with this M
             q = exact_offset(M, z, slack)
-        return LCP(M, q, lower=lower, upper=upper), fractions_of(z)
+        return LCP(M, q, lower=lower, upper=upper), tuple(rational(z))
 
     return solved()
 
@@ -489,7 +489,7 @@ def infeasible_lcps(
         q[pivot] = 0.0
         q[pivot] = y[pivot] * (-highest - y @ q - surplus)
         problem = LCP(M, q, lower=lower, upper=upper)
-        return problem, Infeasibility.of(problem, dict(enumerate(fractions_of(y))))
+        return problem, Infeasibility.of(problem, dict(enumerate(rational(y))))
 
     return infeasible()
 
@@ -533,11 +533,6 @@ def exact_offset(matrix: AnyMatrix, z: Vector, w: Vector) -> Vector:
                 f"{sizes.min(initial=np.inf):g} and {sizes.max(initial=0.0):g} in size; draw short entries of one size"
             )
     return np.array(exact, dtype=np.float64)
-
-
-def fractions_of(values: Array) -> tuple[Fraction, ...]:
-    """Return an array of doubles as exact numbers."""
-    return tuple(Fraction(float(value)) for value in values)
 
 
 Solver = Callable[[Any, Vector, Vector, Vector], Any]
@@ -800,10 +795,10 @@ def convex_qps(
         G, A = np.split(draw(blocks(m + p, n, SIGNED)), [m])
         c = exact_offset(P, x, reduced - G.T @ multiplier - A.T @ equality)
         # ½xᵀP x + cᵀx = ½xᵀ((P x + c) + c)
-        terms = zip(fractions_of(x), exact_slack(LCP(P, c), x), fractions_of(c), strict=True)
+        terms = zip(rational(x), exact_slack(LCP(P, c), x), rational(c), strict=True)
         least = sum((value * (slope + linear) / 2 for value, slope, linear in terms), Fraction(0))
         program = QuadraticProgram(P, c, G, G @ x + gap, A, A @ x, lower, upper)
         answers = (x, multiplier, equality, np.maximum(reduced, 0.0), np.maximum(-reduced, 0.0))
-        return program, QPAnswer._make([*map(fractions_of, answers), least])
+        return program, QPAnswer._make([*(tuple(rational(part)) for part in answers), least])
 
     return convex()

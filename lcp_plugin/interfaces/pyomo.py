@@ -393,7 +393,7 @@ class _Draft:
         names = "partners", "partner_bounds", "row_lower", "row_upper", "lower", "upper"
         new = {name: getattr(content, name).copy() for name in names}
         partners, bits, row_lower, row_upper, lower, upper = new.values()
-        constants = np.zeros(len(rows))
+        trees = [*content.trees]
         # a pair of Pyomo's own transformation has no other bounds than it states
         if self.is_search:
             lower[partners[(partners >= 0) & (bits & 1 == 0)]] = -np.inf
@@ -401,7 +401,8 @@ class _Draft:
         place = {id(row): i for i, row in enumerate(rows)}
         for variable, pair in self.partners.items():
             i, j, held = place[id(pair)], number_of[variable], pair.held
-            constants[i] = -row_lower[i]
+            if constant := -float(row_lower[i]):
+                trees[i] = [("o", 0, 2), *number_tree(constant), *trees[i]]
             row_lower[i], row_upper[i], partners[i] = -np.inf, np.inf, j
             lower[j], upper[j] = held.lower, held.upper
             if not self.is_search and self._needs_no_bound_row(variable, pair):
@@ -410,9 +411,7 @@ class _Draft:
             has_lower = lower[j] == held.lower > -math.inf
             has_upper = upper[j] == held.upper < math.inf
             bits[i] = has_lower + 2 * has_upper
-        pairs = zip(content.trees, constants.tolist(), strict=True)
-        plus = [[("o", 0, 2), *number_tree(c), *tree] if c else tree for tree, c in pairs]
-        return replace(content, **new, trees=plus)
+        return replace(content, **new, trees=trees)
 
     def _needs_no_bound_row(self, variable: Any, pair: Pair) -> bool:
         """Return whether the bounds of a pair's variable need no row.

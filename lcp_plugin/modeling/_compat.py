@@ -55,7 +55,7 @@ TRANSPOSE = (transpose,)
 STACKS: dict[Any, Any] = {Hstack: sp.hstack, Vstack: sp.vstack}
 SELECTION = (index, special_index, Wrap)
 #: Atoms whose numeric accepts sparse arrays and returns sparse arrays, or few numbers.
-KEEP_SPARSE: tuple[Any, ...] = (*SUM, *NEGATIVE, *MATRIX_PRODUCT, *ENTRY_SUM)
+KEEP_SPARSE: tuple[Any, ...] = (*SUM, *NEGATIVE, *MATRIX_PRODUCT, *ENTRY_SUM, *SELECTION)
 
 #: Atoms whose every entry is an entry of an argument, or zero.
 MOVES = diag_mat, diag_vec, cp.reshape, Concatenate, cp.upper_tri, cp.real, cp.conj
@@ -115,9 +115,6 @@ def constant_numeric(node: cp.Expression, values: list[Any]) -> Any:
         value = values[0] / uniform(values[1])
     elif type(node) in STACKS and len(node.shape) == 2:
         value = STACKS[type(node)]([v if sp.issparse(v) else np.atleast_2d(v) for v in values])
-    elif isinstance(node, SELECTION):
-        # Sparse arrays of scipy 1.12 do not give single rows; sparse matrices do.
-        value = node.numeric([sp.csr_matrix(part) for part in values])
     elif isinstance(node, KEEP_SPARSE) and all(part.ndim <= 2 for part in values):
         value = node.numeric(values)
     else:

@@ -24,10 +24,9 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterable, Iterator, Mapping, Sequence
-from dataclasses import dataclass
 from fractions import Fraction
 from itertools import pairwise
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 import scipy.sparse as sp
@@ -74,36 +73,27 @@ def exact_power_of_two(exponent: int) -> Fraction:
     return Fraction(1 << exponent) if exponent >= 0 else Fraction(1, 1 << -exponent)
 
 
-@dataclass(frozen=True)
-class IntegerMatrix:
-    """M, or some of its rows, as integers times 2^exponent; the span of a row's entries by its number."""
+class IntegerMatrix(NamedTuple):
+    """Rows of a matrix, by their numbers: columns with integers, times 2^exponent."""
 
-    spans: Sequence[tuple[int, int]] | Mapping[int, tuple[int, int]]
-    columns: list[int]
-    entries: list[int]
+    rows: dict[int, list[tuple[int, int]]]
     exponent: int
-
-    def row(self, i: int) -> list[tuple[int, int]]:
-        """Return the (column, integer) pairs of row i."""
-        span = slice(*self.spans[i])
-        return list(zip(self.columns[span], self.entries[span], strict=True))
 
     @classmethod
     def of(cls, csr: Any, rows: Sequence[int] | None = None) -> IntegerMatrix:
         """Return a CSR array of finite doubles as integers, or only some of its rows."""
-        kept = csr if rows is None else csr[rows]
-        ends = list(pairwise(kept.indptr.tolist()))
-        entries, exponent = integers(np.asarray(kept.data))
-        spans = ends if rows is None else dict(zip(rows, ends, strict=True))
-        return cls(spans, kept.indices.tolist(), entries, exponent)
+        kept, numbers = (csr, range(csr.shape[0])) if rows is None else (csr[rows], rows)
+        whole, exponent = integers(np.asarray(kept.data))
+        pairs = list(zip(kept.indices.tolist(), whole, strict=True))
+        spans = zip(numbers, pairwise(kept.indptr.tolist()), strict=True)
+        return cls({i: pairs[slice(*span)] for i, span in spans}, exponent)
 
     def combination(self, y: Mapping[int, int]) -> dict[int, int]:
         """Return the entries of Mᵀy / 2^exponent that are not 0, of integers y_i by row."""
         product: dict[int, int] = {}
         for i, factor in y.items():
-            for k in range(*self.spans[i]):
-                column = self.columns[k]
-                product[column] = product.get(column, 0) + self.entries[k] * factor
+            for column, entry in self.rows[i]:
+                product[column] = product.get(column, 0) + entry * factor
         return {column: value for column, value in product.items() if value}
 
 
@@ -217,7 +207,7 @@ def exact_slack(problem: LCP, z: ArrayLike | Sequence[Rational]) -> list[Fractio
     numerators, denominator = common_denominator(exact_vector(z, problem.n))
     matrix = integer_matrix(problem.matrix)
     unit = exact_power_of_two(matrix.exponent) / denominator
-    sums = (sum(entry * numerators[j] for j, entry in matrix.row(i)) for i in range(problem.n))
+    sums = (sum(entry * numerators[j] for j, entry in row) for row in matrix.rows.values())
     return [Fraction(q) + unit * total for q, total in zip(problem.q.tolist(), sums, strict=True)]
 
 

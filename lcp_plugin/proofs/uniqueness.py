@@ -5,6 +5,7 @@ from __future__ import annotations
 import numpy as np
 import scipy.sparse as sp
 from numpy.typing import NDArray
+from scipy.linalg import null_space
 
 from ..core.kernels.floats import EPSILON, NORMAL
 from ..core.lcp import LCP
@@ -71,11 +72,9 @@ def _null_space(matrix: Array, tolerance: float = 0.0) -> Array:
     scaled = scaled[largest > 0.0] / largest[largest > 0.0, np.newaxis]
     if not scaled.size:
         return np.eye(matrix.shape[1])
-    _, values, right = np.linalg.svd(scaled)
     # Times the tolerance of numpy's matrix_rank: the entries are rounded also
-    least = max(8.0 * max(scaled.shape) * EPSILON, tolerance) * values[0]
-    rank = int((values > least).sum())
-    basis = unit[:, np.newaxis] * right[rank:].T
+    least = max(8.0 * max(scaled.shape) * EPSILON, tolerance)
+    basis = unit[:, np.newaxis] * null_space(scaled, least)
     return np.asarray(basis / np.abs(basis).max(axis=0, initial=0.0))
 
 

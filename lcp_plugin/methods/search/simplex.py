@@ -308,7 +308,7 @@ def _integer_rows(
         step = min(exact_power_of_two(matrix.exponent), Fraction(1, constant.denominator))
         factor = int(exact_power_of_two(matrix.exponent) / step)
         row = [0] * offset.size + [int(constant / step)]
-        for j, entry in matrix.row(i):
+        for j, entry in matrix.rows[i]:
             row[j] = entry * factor
         divisor = math.gcd(*row) or 1
         rows.append([entry // divisor for entry in row])

@@ -3,11 +3,10 @@
 Each modeling language builds its own functions from these. Entries are numbered by columns. A block is the derivative
 by one source, and an identity stores nothing.
 
-A smooth map as a short program: levels of elementary functions between sparse matrices.
-
-A level takes linear combinations of all previous quantities, beginning with the unknowns, and applies elementary
-functions to thousands of them at once. The result is a linear combination of all quantities. Derivatives follow level
-by level from the chain rule.
+A smooth map is a short program: levels of elementary functions between sparse matrices. A level takes linear
+combinations of all previous quantities, beginning with the unknowns, and applies elementary functions to thousands of
+them at once. The result is a linear combination of all quantities. Derivatives follow level by level from the chain
+rule.
 """
 
 from __future__ import annotations

@@ -1,8 +1,7 @@
 """Active sets of banded problems, one factorization of the band by LAPACK per round.
 
-Contacts of a tridiagonal M with off-diagonal entries ≤ 0, bounded on one side: Cryer's pass, O(n).
-
-The theory is due to Chandrasekaran, the order of the rows to Cryer. With all rows at their bounds, free a row whose w
+If M is tridiagonal with off-diagonal entries ≤ 0, and z bounded on one side, one pass of O(n) finds the free rows. Its
+theory is due to Chandrasekaran, the order of the rows to Cryer. With all rows at their bounds, free a row whose w
 is negative, then the next: z only rises, so that no free row returns to its bound. Take the rows from first to last,
 with all later rows at their bounds. A row that becomes free raises its neighbors on both sides and joins the block of
 free rows before it. If w becomes negative in the bound row before this block, that row also becomes free and joins the

@@ -3,9 +3,7 @@
 A hierarchy of M, built from its entries alone, gives the linear corrections. The answer of each grid starts the next
 finer grid (nested iteration), so that the free set is nearly right before the finest grid is touched.
 
-Run of projected full multigrid: problems on the grids, truncation, safeguards.
-
-Convergence proof of projected multigrid, and its safeguard: the last accepted iterate.
+The safeguard is the last accepted iterate; with it convergence is proved.
 
 J(z) = ½ zᵀMz + qᵀz, ρ(z) the largest scaled residual |z_i − mid(l_i, u_i, z_i − w_i/d_i)|, d the diagonal of M, and S
 one projected Gauss–Seidel sweep. From an accepted iterate y the run tries z: any correction (a truncated V-cycle,

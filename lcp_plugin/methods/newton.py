@@ -1,8 +1,6 @@
 """Semismooth Newton on the scaled natural residual, alias primal-dual active set, with its safeguards.
 
-Active sets: semismooth Newton, and unknowns without bounds eliminated before it (static condensation).
-
-Active sets: their identification, their linear system, and the state of a run.
+The file begins with active sets, the rows at bounds, and linear systems of the others. Full and damped steps follow.
 """
 
 from __future__ import annotations

@@ -1,6 +1,6 @@
 """optimal(program, over=…): the optimality conditions of an agent's program, as a constraint that cvxpy accepts.
 
-Checks of agents: each decision belongs to one agent, and programs and shared constraints are convex.
+It checks that each decision belongs to one agent, and that programs and shared constraints are convex.
 """
 
 from __future__ import annotations

@@ -1,8 +1,7 @@
 """Objectives over complementarity constraints in cvxpy: the best of all solutions.
 
-The objective and the rows are smooth, of any curvature; an absolute value becomes a pair.
-
-The gain that an agent of an equilibrium could make by a change of only its decisions.
+The objective and the rows are smooth, of any curvature; an absolute value becomes a pair. The gain of an agent is
+the best that a change of only its decisions adds.
 """
 
 from __future__ import annotations

@@ -1,6 +1,6 @@
 """Complementarity problem of a list of cvxpy constraints, and the map back to cvxpy's objects.
 
-Pairs whose sides are points of cones: ``cp.SOC(t, x)``, and impulses with friction.
+The sides of a pair may also be points of cones: ``cp.SOC(t, x)``, and impulses with friction.
 """
 
 from __future__ import annotations

@@ -1,10 +1,8 @@
 """Our algorithms as a quadratic programming solver inside cvxpy: ``problem.solve(solver=lcp_plugin.QPSolver)``.
 
-`certify` for a cvxpy problem that some solver has filled.
-
-Proofs are about the program that cvxpy compiles, with the user's values in it; auxiliary variables are optimized with
-these values fixed. That the program is equivalent to the problem is checked with cvxpy's values of the objective and
-of the constraint residuals.
+Also `certify` for a cvxpy problem that any solver has filled. Its proofs are about the program that cvxpy compiles,
+with the user's values in it; auxiliary variables are optimized with these values fixed. That the program is equivalent
+to the problem is checked with cvxpy's values of the objective and of the constraint residuals.
 """
 
 from __future__ import annotations

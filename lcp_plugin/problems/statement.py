@@ -1,7 +1,5 @@
 """A model as unknowns, rows, pairs and an objective, for any modeling language; and its conversion to a problem.
 
-Elimination of the unknowns without a pair by the equations of a model, and the matching of the remaining ones.
-
 Free unknowns that an equation defines, as in w == M @ x + q, are taken out of the model and put back. The equations
 left are matched with the unknowns left: the diagonal that a splitting method divides by.
 """

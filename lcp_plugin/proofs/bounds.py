@@ -1,26 +1,20 @@
 """Upper bounds of the distance of z from the solution.
 
-The stages are v-certificates of rows (`RowInequality`) and bounds of the whole solution.
+**Hidden errors.** To first order z − z* = (S M_FF)⁻¹ r_F on the rows F strictly between their bounds, S = D⁻¹: an error
+as large as ‖(S M_FF)⁻¹‖∞ ‖r‖∞ may hide behind a residual r. LAPACK estimates the norm up to 500 rows; this proves
+nothing (see `error_bounds` for what does).
 
-Classification of the rows of a solution: at a bound, free, or degenerate (at a bound with w = 0); hidden errors.
-
-To first order z − z* = (S M_FF)⁻¹ r_F on the rows F strictly between their bounds, S = D⁻¹: an error as large as
-‖(S M_FF)⁻¹‖∞ ‖r‖∞ may hide behind a residual r. LAPACK estimates the norm up to 500 rows; this proves nothing (see
-`error_bounds` for what does).
-
-Curvature of a quadratic form, bounded below: μ with P − diag(μ) proved semidefinite.
-
-P falls into the blocks that its pattern connects. The weight of a block of one entry is this entry. A larger block is
-definite by a factorization with a rounding margin, or semidefinite by its row sums or by exact elimination. Otherwise
-it may be semidefinite to rounding: then its weights are negative, by a bound of the rounding error.
+**Curvature** of a quadratic form is bounded below by μ with P − diag(μ) proved semidefinite. P falls into the blocks
+that its pattern connects. The weight of a block of one entry is this entry. A larger block is definite by a
+factorization with a rounding margin, or semidefinite by its row sums or by exact elimination. Otherwise it may be
+semidefinite to rounding: then its weights are negative, by a bound of the rounding error.
 
 On the solutions of A x = b the objective is also f(x) + ½ ρ‖A x − b‖². If P + ρ AᵀA is positive definite, ρ > 0, its
 weights may replace the weights of P, between points that satisfy the equations exactly.
 
-The inequality of each row for the error of a point, with outward rounding.
-
-Let e = z − z*. If e_i > 0, then either z*_i is the upper bound and e_i = z_i − upper_i, or w*_i ≥ 0, so that
-(M e)_i ≤ w_i; and e_i ≤ z_i − lower_i in any case. With m_ii = d_i > 0 and B the rest of M,
+**By rows**, with outward rounding. Let e = z − z*. If e_i > 0, then either z*_i is the upper bound and e_i = z_i −
+upper_i, or w*_i ≥ 0, so that (M e)_i ≤ w_i; and e_i ≤ z_i − lower_i in any case. With m_ii = d_i > 0 and B the rest of
+M,
 
     e_i ≤ max(z_i − upper_i, min(z_i − lower_i, (w_i + (|B||e|)_i)/d_i)),
 
@@ -37,9 +31,7 @@ method uses the signs: ẑ = z + δ with δ to the bound on the rows that seem a
 other rows. ẑ may be any point: a poor solve or a wrong guess only makes the bound larger. ẑ is stored as a sum of two
 float64 numbers, so that its error can be less than the spacing of float64.
 
-Distance of a point from the solution, by a v > 0 with ⟨M⟩v > 0, or by a bound of the smallest eigenvalue.
-
-By v row by row (`RowInequality`). By λ, no larger than the eigenvalues of C (M + Mᵀ)/2 C, C = diag(c) > 0: with
+**By eigenvalues**, λ no larger than the eigenvalues of C (M + Mᵀ)/2 C, C = diag(c) > 0: with
 e = z − z*, any S = diag(s) > 0 and r_i = mid(z_i − upper_i, z_i − lower_i, s_i w_i), the point z − r is the projection
 of z − S w to the bounds. Its variational inequality at z*, and the inequality of z* at z − r, add up row by row to
 
@@ -47,8 +39,6 @@ of z − S w to the bounds. Its variational inequality at z*, and the inequality
 
 and as λ‖C⁻¹e‖₂² ≤ eᵀM e, ‖C⁻¹e‖₂ ≤ ‖C (Mᵀ + S⁻¹) r‖₂ / λ: never more than (1 + ‖M‖)‖r‖/λ if S = C = I, and much
 less if r is smooth.
-
-Distance of z from the solution, bounded by inequalities of rows and by curvature.
 """
 
 from __future__ import annotations

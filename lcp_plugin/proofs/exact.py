@@ -1,10 +1,7 @@
 """Exact arithmetic on what is stored in double precision.
 
-Integers with an exponent, fractions, products of sparse rows, slack and complementarity.
-
-Exact arithmetic for proofs: rounding margins, rational and p-adic arithmetic.
-
-Exact linear algebra: signs of minors by elimination without fractions, solutions by p-adic lifting.
+Integers with an exponent, fractions, products of sparse rows; signs of minors by elimination without fractions,
+solutions by p-adic lifting; sums, products and quotients rounded upwards, element by element.
 
 Doubles are dyadic numbers: a power of two makes a row integers and changes no sign of a principal minor. Elimination
 without fractions (Bareiss) keeps them integers, each a minor of the matrix it began with.
@@ -13,8 +10,6 @@ References
 ----------
 E. H. Bareiss, *Sylvester's identity and multistep integer-preserving Gaussian elimination*, Math. Comp. 22 (1968),
 doi:10.1090/S0025-5718-1968-0226829-0.
-
-Sums, products and quotients rounded upwards, element by element.
 
 An exact result stays exact, so that a bound can be 0. Overflow is safe: a sum or quotient of −∞
 becomes the least float64, which is above the true value. NaN stays NaN.

@@ -1,9 +1,5 @@
 """convergence_guarantee(): what is proven about an algorithm on a matrix.
 
-The theorems by name and source: the theorem behind a proof, and the theorems of the paper.
-
-Convergence of an iteration by a theorem, and its rate: plain facts in, a statement out.
-
 Every rate here is the rate of a contraction in ‖x‖_v = max |x_i|/v_i, between any two points, so that it also proves
 existence and uniqueness of the solution. One argument covers all bounds of a row. The residual
 z − mid(lower, upper, z − S w) changes, row by row, by (1 − τ)e + τ S M e with some τ in [0, 1] (τ = 1 on a free row).

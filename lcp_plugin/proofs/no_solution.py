@@ -2,16 +2,10 @@
 
 A proof is a set of cases, each with a Farkas vector; the linear constraints alone are one case.
 
-Search for a proof that a problem has no solution, by linear constraints or trees of cases.
-
-The linear constraints require a z within the bounds with a w of permitted signs. A check of each row comes first, then
-a linear program. A tree contains every case of the complementarity conditions, each closed by its Farkas vector.
-
-The check of each row finds rows whose signs no point of a box has.
-
-Zero-energy modes: directions d with P d = 0 to rounding, for example of an unsupported structure.
-
-Proofs that a problem has no solution: inconsistent linear constraints, or excluded complementarity pieces.
+The linear constraints require a z within the bounds with a w of permitted signs. A check of each row, for signs that no
+point of the box has, comes first, then a linear program. A tree contains every case of the complementarity conditions,
+each closed by its Farkas vector. Zero-energy modes are directions d with P d = 0 to rounding, for example of an
+unsupported structure.
 """
 
 from __future__ import annotations

@@ -1,10 +1,8 @@
 """Paths of complementary pivoting: starts, state, and tests of their accuracy.
 
-They start along covering vectors, at the labels of a game or inside random active sets.
-
-Any dense box or mixed problem as 0 ≤ z ≤ u with u > 0: fixed, free and flipped rows taken out, rows scaled.
-
-Bimatrix games among complementarity problems: detected by signs only, solved along Lemke and Howson's paths.
+They start along covering vectors, at the labels of a game or inside random active sets. Before that, a dense problem
+is stated as 0 ≤ z ≤ u with u > 0, without fixed and free rows. Bimatrix games are detected by signs only, and solved
+along Lemke and Howson's paths.
 """
 
 from __future__ import annotations

@@ -1,6 +1,6 @@
 """Exhaustive search for small problems: every solution exactly, or the proof that there is none.
 
-Feasibility and exhaustive search as stages of a run, which ends with a solution or with a proof.
+As stages of a run, the search and a test of feasibility end with a solution or with a proof.
 """
 
 from __future__ import annotations

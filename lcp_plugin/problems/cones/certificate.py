@@ -1,12 +1,10 @@
 """Certificates over cones: the residuals of a point, and proofs that no point is a solution.
 
-Proof that no point of the cones has a slack in the dual cones (a Farkas certificate).
-
-K is the product of the cones, K* its dual. The slack ŵ of a cone is w, and û = w + μ‖w_T‖ e_N for a contact with
-friction (:mod:`.data`). With friction, û ∈ K* means u_N ≥ 0 at every contact. Let y be ≥ 0 on normals and 0 on
-tangents (in K without friction, free in free rows, ≥ 0 in nonnegative rows), with −Mᵀy in K* (0 in free rows) and
-qᵀy < 0. Then 0 ≤ yᵀw = yᵀM z + yᵀq < 0 for every z in K, a contradiction. A z with the residual R has
-p = P_K(z − ŵ/d) in K, z = p + R and ŵ − d R in K*, and so
+A proof is a Farkas certificate: no point of the cones has a slack in the dual cones. K is the product of the cones, K*
+its dual. The slack ŵ of a cone is w, and û = w + μ‖w_T‖ e_N for a contact with friction (:mod:`.data`). With friction,
+û ∈ K* means u_N ≥ 0 at every contact. Let y be ≥ 0 on normals and 0 on tangents (in K without friction, free in free
+rows, ≥ 0 in nonnegative rows), with −Mᵀy in K* (0 in free rows) and qᵀy < 0. Then 0 ≤ yᵀw = yᵀM z + yᵀq < 0 for every z
+in K, a contradiction. A z with the residual R has p = P_K(z − ŵ/d) in K, z = p + R and ŵ − d R in K*, and so
 
     −qᵀy ≤ Σ_k (√(1 + μ_k²) d_k ‖y_k‖ + ‖(Mᵀy)_k‖) ‖R_k‖:
 

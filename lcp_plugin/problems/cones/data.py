@@ -1,10 +1,9 @@
 """Complementarity over cones: the data, checked.
 
 K ∋ z ⟂ w ∈ K*, w = M z + q, K a product of blocks: one row between bounds (free, nonnegative, a box), or several rows
-in a cone {‖z_T‖ ≤ μ z_N}, whose dual is {w_N ≥ μ‖w_T‖}. Contact with friction has û = w + μ‖w_T‖ e_N in place of w
-(De Saxcé): Coulomb's law, impulses r for z, velocities u for w; `frictional_contact` states it.
-
-Convex programs over cones, in the form of Clarabel.
+in a cone {‖z_T‖ ≤ μ z_N}, whose dual is {w_N ≥ μ‖w_T‖}. Contact with friction has û = w + μ‖w_T‖ e_N in place of w (De
+Saxcé): Coulomb's law, impulses r for z, velocities u for w; `frictional_contact` states it. Convex programs over cones
+have the form of Clarabel.
 """
 
 from __future__ import annotations

@@ -3,9 +3,7 @@
 A node leaves some branches of each pair open. The conditions common to these branches are bounds of variables, so
 the programs of all nodes differ only in bounds. The lower bound of a node is rigorous for any multipliers
 (:mod:`lcp_plugin.problems.programs.value_bounds`). It holds for every piece below, and does not rely on the accuracy
-of the solver.
-
-Result of a minimization over all solutions, and its verification.
+of the solver. The result of the minimization, and its verification, are also here.
 """
 
 from __future__ import annotations

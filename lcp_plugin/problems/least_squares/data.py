@@ -1,6 +1,6 @@
 """Least squares within bounds: checked unscaled data, and the problem scaled for a method.
 
-Residuals and gradients of a least squares problem, with bounds of their rounding errors.
+Residuals and gradients come with bounds of their rounding errors.
 """
 
 from __future__ import annotations

@@ -1,6 +1,6 @@
 """The run of a least-squares problem, and its result.
 
-A stack of small least squares problems with one A, by the LCPs of their normal equations.
+Many small problems with one A are solved as a stack, by the LCPs of their normal equations.
 """
 
 from __future__ import annotations

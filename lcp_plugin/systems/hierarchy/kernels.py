@@ -8,17 +8,10 @@ again.
 
 Positions are unsigned, which spares the test for a negative index at each access: a third of the time.
 
-Sweeps and residuals of a V-cycle and a nested iteration on one grid; compiled, arrays only.
-
 `inverse` holds 1/diagonal, and 0 for an unknown that is fixed: it keeps the value 0 and passes no residual on.
 
-Vector operations of Krylov steps, and transfers between two grids.
-
-Sums are split into the same chunks for any number of threads.
-
-`inverse` contains 1/diagonal, and 0 for a fixed unknown. A fine unknown is called held if seven eighths of its
-couplings lead to fixed unknowns. A held unknown is not interpolated, because P would let it follow its free coarse
-neighbors. If couplings jump, conjugate gradients took ten times as many steps with its row of P.
+Sums are split into the same chunks for any number of threads. A fine unknown is called held if seven eighths of its
+couplings lead to fixed unknowns.
 """
 
 from __future__ import annotations

@@ -263,9 +263,9 @@ class PrimalDualPoint:
     ----------
     excess, row_doubt : array, shape (m + p,)
         C x − d, and a bound of its rounding error.
-    left, doubt, product, lost : array, shape (n,)
+    gradient, doubt, product, product_doubt : array, shape (n,)
         r and P x, with bounds of their rounding errors.
-    row_terms, bend, slope_terms : array, shapes (m + p,), (n,) and (n,)
+    row_terms, product_terms, slope_terms : array, shapes (m + p,), (n,) and (n,)
         Σ_j |c_ij x_j| + |d_i|, |P| |x|, and the sizes of the terms of r.
     """
 
@@ -280,24 +280,24 @@ class PrimalDualPoint:
         x, self.of_x, self.cost = self.x, np.abs(self.x), np.abs(program.c)
         P, C, of_P, of_C, of_columns = self.terms.entry_sizes
         in_rows, in_P, in_columns = self.terms.summands
-        self.limits, self.bend = np.abs(d), of_P @ self.of_x
+        self.limits, self.product_terms = np.abs(d), of_P @ self.of_x
         self.row_terms = of_C @ self.of_x + self.limits
         if is_exact:
-            self.product, self.lost = compensated_product(self.terms.sparse_P, x)
+            self.product, self.product_doubt = compensated_product(self.terms.sparse_P, x)
         else:
-            self.product, self.lost = P @ x, (in_P + 3.0) * UNIT * self.bend
+            self.product, self.product_doubt = P @ x, (in_P + 3.0) * UNIT * self.product_terms
         y = self.terms.needed_multipliers(self.product + program.c, y)
         self.of_y = np.abs(y)
-        self.slope_terms = self.bend + self.cost + of_columns @ self.of_y
+        self.slope_terms = self.product_terms + self.cost + of_columns @ self.of_y
         self.rounding = (in_P + in_columns + 3.0) * UNIT * self.slope_terms
         if is_exact:
             both = np.concatenate([x, y])
-            self.left, self.doubt = compensated_product(self.terms.gradient, both, program.c)
+            self.gradient, self.doubt = compensated_product(self.terms.gradient, both, program.c)
             self.excess, self.row_doubt = compensated_product(self.terms.rows, x, -d)
         else:
-            self.left, self.doubt = self.product + program.c + C.T @ y, self.rounding
+            self.gradient, self.doubt = self.product + program.c + C.T @ y, self.rounding
             self.excess, self.row_doubt = C @ x - d, (in_rows + 3.0) * UNIT * self.row_terms
-        self.missed = np.abs(self.excess) + self.row_doubt
+        self.most_excess = np.abs(self.excess) + self.row_doubt
         if not is_limit.all():
             self.excess[~is_limit] = -np.inf
 
@@ -315,7 +315,7 @@ class PrimalDualPoint:
     @cached_property
     def violation(self) -> Vector:
         """Upper bound of the violation of each row, shape (m + p,)."""
-        m, over = self.terms.m, self.missed.copy()
+        m, over = self.terms.m, self.most_excess.copy()
         np.maximum(self.excess[:m] + self.row_doubt[:m], 0.0, out=over[:m])
         return over
 
@@ -330,8 +330,8 @@ class PrimalDualPoint:
     def gaps(self, tolerance: float = PROGRAM_TOLERANCE) -> Vector:
         """Return the gap of each component; curvature counts if a gap is above the tolerance."""
         size, way, costs = self._scales()
-        of_rows = self._sums(self.of_x, 0.0 * self.of_x, costs, self.missed)
-        gap = of_rows + self._gain(self.left, np.abs(self.left) + self.doubt, way)
+        of_rows = self._sums(self.of_x, 0.0 * self.of_x, costs, self.most_excess)
+        gap = of_rows + self._gain(self.gradient, np.abs(self.gradient) + self.doubt, way)
         if self.is_exact and (gap > tolerance * size).any():
             gap = np.minimum(gap, of_rows + self._curved_gain(way))
         return np.where(size < np.inf, gap / size, np.nan)
@@ -339,27 +339,26 @@ class PrimalDualPoint:
     def shares(self) -> Vector:
         """Return the part of the gap that each unknown's gradient r_j causes, without curvature, shape (n,)."""
         size, way, _ = self._scales()
-        near, far = self._gains(self.left, np.abs(self.left) + self.doubt, way)
+        near, far = self._gains(self.gradient, np.abs(self.gradient) + self.doubt, way)
         return (near + far) / self._of_unknowns(size)
 
     def _scales(self) -> tuple[Vector, Vector, Vector]:
         """Return the size of each component, the longest move of each unknown, and the cost of each row."""
-        x, of_x, sums = self.x, self.of_x, self._sums
-        y = self.needed_y
-        curved = np.maximum(np.abs(sums(x, self.product)) - sums(of_x, self.lost), 0.0)
+        x, of_x, y, sums = self.x, self.of_x, self.needed_y, self._sums
+        terms, in_place = self.product_terms, 0.0 * self.product_terms
+        curved = np.maximum(np.abs(sums(x, self.product)) - sums(of_x, self.product_doubt), 0.0)
         size = np.abs(sums(self.program.c, x)) + curved
         # Without costs, the terms of P x take their place
-        bend = self.bend * 0.0
         if not self.cost.all():
-            bend = np.where(self._of_unknowns(sums(self.cost, self.cost)) > 0.0, 0.0, self.bend)
+            in_place = np.where(self._of_unknowns(sums(self.cost, self.cost)) > 0.0, 0.0, terms)
         size = np.maximum(size, CANCELLED * (sums(self.cost, of_x) + curved))
-        size = np.maximum(size, LEAST_SIZE * sums(bend, of_x, y, self.row_terms))
+        size = np.maximum(size, LEAST_SIZE * sums(in_place, of_x, y, self.row_terms))
         size = np.maximum(size, SMALLEST_SIZE)
         # Without a cost, a gradient at the rounding level of P x is balanced by terms of P x that cancel
         in_P = self.terms.summands[1]
-        is_rounding = (self.cost == 0.0) & (np.abs(self.left) <= (in_P + 3.0) * UNIT * self.bend)
-        bend = np.where(is_rounding, self.bend, bend)
-        price = np.maximum(np.abs(self.product) - self.lost, bend) + self.cost
+        is_rounding = (self.cost == 0.0) & (np.abs(self.gradient) <= (in_P + 3.0) * UNIT * terms)
+        in_place = np.where(is_rounding, terms, in_place)
+        price = np.maximum(np.abs(self.product) - self.product_doubt, in_place) + self.cost
         price += self.terms.entry_sizes[4] @ y
         costs = self.of_y
         if self.is_exact and (is_noise := (self.violation > 0.0) & (self.noise > 0.0)).any():
@@ -369,17 +368,17 @@ class PrimalDualPoint:
         way = self._of_unknowns(MOVES * size) / np.maximum(price, LEAST_PRICE)
         return size, way, costs
 
-    def _gain(self, left: Vector, r: Vector, way: Vector) -> Vector:
-        """Return a bound of the gain of moves against a gradient in each component, without curvature; r is |left|."""
-        near, far = self._gains(left, r, way)
+    def _gain(self, gradient: Vector, r: Vector, way: Vector) -> Vector:
+        """Return a bound of the gain of moves in each component, without curvature; r bounds |gradient|."""
+        near, far = self._gains(gradient, r, way)
         return self._sums(near, np.ones(near.size)) + self.terms.components.largest(far)
 
-    def _gains(self, left: Vector, r: Vector, way: Vector) -> tuple[Vector, Vector]:
+    def _gains(self, gradient: Vector, r: Vector, way: Vector) -> tuple[Vector, Vector]:
         """Return the gains of each unknown: of moves that add up, and of moves of which one is as long as `way`."""
         below, above = self.x - self.program.lower, self.program.upper - self.x
-        distance = np.where(left > 0.0, below, above)
+        distance = np.where(gradient > 0.0, below, above)
         # Either direction may reduce the objective
-        distance = np.where(np.abs(left) <= self.doubt, np.maximum(below, above), distance)
+        distance = np.where(np.abs(gradient) <= self.doubt, np.maximum(below, above), distance)
         is_far = distance > way
         reach = np.where(is_far, np.minimum(distance, MOVES * self.of_x), distance)
         return r * np.where(r == 0.0, 0.0, reach), np.where(is_far, r * way, 0.0)
@@ -391,17 +390,17 @@ class PrimalDualPoint:
         """
         d, x, P = self.terms.P.diagonal(), self.x, self.terms.P
         is_curved = (x > self.program.lower) & (x < self.program.upper) & (d > 0.0)
-        curved = np.flatnonzero(is_curved & (np.abs(self.left) <= self.rounding))
-        r = (self.left + np.copysign(self.doubt, self.left))[curved]
+        curved = np.flatnonzero(is_curved & (np.abs(self.gradient) <= self.rounding))
+        r = (self.gradient + np.copysign(self.doubt, self.gradient))[curved]
         step = curved_step(P[curved][:, curved], r) if curved.size else None
         if step is None:
             return np.inf
         move, gain = np.zeros(x.size), np.zeros(x.size)
         move[curved], gain[curved] = step, 0.5 * r
-        left = self.left - P @ move
-        others = np.abs(left) + self.doubt
+        after = self.gradient - P @ move
+        others = np.abs(after) + self.doubt
         others[curved] = 0.0
-        return self._sums(gain, move) + self._gain(left, others, way)
+        return self._sums(gain, move) + self._gain(after, others, way)
 
     @property
     def needed_y(self) -> Vector:
@@ -409,10 +408,10 @@ class PrimalDualPoint:
 
         An unknown at rounding level of its component is at its bound.
         """
-        pull = np.abs(self.product + self.program.c) - self.lost
-        way = np.minimum(self.x - self.program.lower, self.program.upper - self.x)
+        pull = np.abs(self.product + self.program.c) - self.product_doubt
+        room = np.minimum(self.x - self.program.lower, self.program.upper - self.x)
         parts = self.terms.components
-        at_bound = way <= self._of_unknowns(DATA_ROUNDING * parts.largest(self.of_x))
+        at_bound = room <= self._of_unknowns(DATA_ROUNDING * parts.largest(self.of_x))
         most = parts.largest(np.where(at_bound, 0.0, pull))[parts.of_row]
         return np.minimum(self.of_y, most / self.terms.row_sizes)
 

@@ -296,7 +296,7 @@ def worst_constraints(
     shares = point.shares()
     for j in np.argsort(-shares, kind="stable")[: count - len(worst)].tolist():
         if shares[j] > tolerance:
-            name, r = program.names.unknown(j, f"x[{j}]"), float(point.left[j])
+            name, r = program.names.unknown(j, f"x[{j}]"), float(point.gradient[j])
             text = f"{name} = {x[j]:.6g} adds {shares[j]:.1e} to the gap: its gradient with the multipliers is {r:.3g}"
             worst.append(
                 WorstRow(name, float(shares[j]), abs(r), float(point.slope_terms[j]), text)

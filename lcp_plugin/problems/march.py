@@ -795,34 +795,27 @@ class MarchDerivative:
     def jvp(
         self,
         *,
-        dM: AnyMatrix = None,
+        dM: Any = None,
         dforcing: Array = None,
         dpropagator: object = None,
         dz0: Array = None,
         dlower: Array = None,
         dupper: Array = None,
-        dlower_at: Array = None,
-        dupper_at: Array = None,
-        dM_at: Any = None,
         only_last: bool = False,
     ) -> Vector:
         """Return the changes dz of the solutions for changes of the data; one-sided at a kink.
 
         Parameters
         ----------
-        dM : array or sparse array, shape (n, n), optional
-            The change of M, on any pattern; F of a NonlinearProblem changes by dM x.
+        dM : array or sparse array, shape (n, n), or a sequence of k of these, optional
+            The change of M in all steps, or in each, on any pattern; F of a NonlinearProblem changes by dM x.
         dforcing : array, shape (k, n) or (n,), optional
             Change of the forcing of each step, or one row for all.
         dpropagator : number or array or sparse array, shape (n, n), optional
             The change of the propagator, on any pattern; a number stands for a multiple of the identity.
         dz0 : array, shape (n,), optional
-        dlower, dupper : number or array, shape (n,), optional
-            Changes of the bounds; only active bounds matter.
-        dlower_at, dupper_at : array, shape (k, n), optional
-            Changes of the bounds of each step, in addition.
-        dM_at : sequence of k arrays or sparse arrays, shape (n, n), optional
-            Changes of the matrix of each step, in addition.
+        dlower, dupper : number or array, shape (n,) or (k, n), optional
+            Changes of the bounds of all steps, or of each; only active bounds matter.
         only_last : bool
             If True, return only the change of the last solution.
 
@@ -847,19 +840,15 @@ class MarchDerivative:
         n, steps = self.march.problem.n, len(self)
         rows = _rows(dforcing, "dforcing", steps, n)
         none = sp.csr_array((n, n))
-        dM = none if dM is None else checks.rectangular_matrix(dM, "dM", n, n)
+        is_each = dM is not None and not sp.issparse(dM) and np.ndim(dM) != 2
+        if is_each:
+            _check_count("dM", dM, steps)
         dC = none if dpropagator is None else checked_propagator(dpropagator, n, "dpropagator")
-        low = checks.change_of_vector(dlower, "dlower", n, may_be_number=True)
-        high = checks.change_of_vector(dupper, "dupper", n, may_be_number=True)
-        low = low + _rows(dlower_at, "dlower_at", steps, n)
-        high = high + _rows(dupper_at, "dupper_at", steps, n)
-        if dM_at is not None:
-            _check_count("dM_at", dM_at, steps)
+        low, high = _rows(dlower, "dlower", steps, n, ()), _rows(dupper, "dupper", steps, n, ())
 
         def change_of_M(k: int) -> Any:
-            if dM_at is None:
-                return dM
-            return dM + checks.rectangular_matrix(dM_at[k], f"dM_at of step {k}", n, n)
+            change = dM[k] if is_each else dM
+            return none if dM is None else checks.rectangular_matrix(change, "dM", n, n)
 
         before = checks.change_of_vector(dz0, "dz0", n).copy()
         dz = np.empty((0 if only_last else steps, n))
@@ -948,10 +937,10 @@ class MarchDerivative:
         return Band.of(Matrix(M), C)
 
 
-def _rows(values: Array, name: str, steps: int, n: int) -> Vector:
-    """Return a row per step; a vector is the row of all steps, None means 0."""
+def _rows(values: Array, name: str, steps: int, n: int, *shapes: tuple[int, ...]) -> Vector:
+    """Return a row per step; a vector, or an array of further shapes, is the row of all steps, None means 0."""
     if values is None:
         return np.broadcast_to(0.0, (steps, n))
     need = f"({steps}, {n}), or ({n},) for all steps"
-    rows = checked_rows(name, values, need, ((steps, n), (n,)).__contains__)
+    rows = checked_rows(name, values, need, ((steps, n), (n,), *shapes).__contains__)
     return np.broadcast_to(rows, (steps, n))

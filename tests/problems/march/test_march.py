@@ -186,10 +186,11 @@ def test_a_march_has_the_derivative_of_one_large_problem(case):
     )
     found = derivative(done)
     assert all(one.free.any() and not one.free.all() for one in found)
-    halves = change | {"dM": 0.5 * change["dM"], "dM_at": [0.5 * change["dM"]] * k}
-    np.testing.assert_allclose(
-        found.jvp(**halves), expected, rtol=0, atol=1e-11 * abs(expected).max()
-    )
+    each = {name: np.tile(change[name], (k, 1)) for name in ("dlower", "dupper")}
+    for changes in (change, change | each | {"dM": [change["dM"]] * k}):
+        np.testing.assert_allclose(
+            found.jvp(**changes), expected, rtol=0, atol=1e-11 * abs(expected).max()
+        )
     np.testing.assert_array_equal(found.jvp(**change, only_last=True), found.jvp(**change)[-1])
 
 

@@ -108,6 +108,13 @@ def class_of(problem: object) -> str | None:
     return None
 
 
+# calls for models of other packages, by package
+OF_MODELS = {
+    "cvxpy": '; write problem.solve(method="LCP")',
+    "pyomo": '; write SolverFactory("lcp_plugin").solve(model) after import lcp_plugin.pyomo',
+}
+
+
 def refusal(function: str, argument: object) -> str:
     """Return the error message for an argument that a function does not accept."""
     *most, last = classes_of(function)
@@ -123,7 +130,8 @@ def refusal(function: str, argument: object) -> str:
         ):
             step = "; write [derivative(result) for result in results]"
     elif function == "solve":
-        step = "; for a matrix M and a vector q write solve(LCP(M, q))"
+        package = type(argument).__module__.partition(".")[0]
+        step = OF_MODELS.get(package, "; for a matrix M and a vector q write solve(LCP(M, q))")
         if type(argument).__name__.endswith("Batch"):
             step = "; write solve_batch(…)"
     return f"{function} needs {needs}, got {type(argument).__name__}{step}"

@@ -91,10 +91,8 @@ def records_of(steps: list[Step], method: Algorithm | None) -> tuple[StageRecord
     records = []
     for label, group in groupby(steps, lambda step: step.label):
         parts = [*group]
-        work, iterations = (
-            sum(step.work for step in parts),
-            sum(step.iterations != 0 for step in parts),
-        )
+        iterations = sum(step.iterations != 0 for step in parts)
+        work = sum(step.work for step in parts)
         records.append(StageRecord(label or (method or ROUNDS).name, "", iterations, work))
     because = "" if method else GUESSED
     records[0] = records[0]._replace(

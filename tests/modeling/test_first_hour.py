@@ -122,6 +122,7 @@ FrictionalContact((2.0, *SPACE), [0, 0, -1.0], 0.5)
 FrictionalContact((np.ones(3), *SPACE), [0, 0, -1.0], 0.5) → got shape \(3,\); of masses it is np.diag\(masses\)
 FrictionalContact(np.eye(3), np.zeros((4, 3)), 0.5) → for many problems use FrictionalContact\.worlds
 solve(FrictionalContact.worlds(np.eye(3), -np.ones((4, 3)), 0.5)) → write solve_batch\(…\)
+solve(cp.Problem(cp.Minimize(ONE))) → write problem\.solve\(method="LCP"\)
 prepare(LCP([[1.0]], [1.0])).solve([1.0]) → data have names: write step.solve\(q=…\)
 prepare(FrictionalContact(np.eye(3), [-1.0, 0.0, 0.0], 0.5)).solve([1.0]) → write step.solve\(b=…\)
 prepare(LCP([[1.0]], [1.0])).solve(warm=np.zeros(2)) → warm must be True or False

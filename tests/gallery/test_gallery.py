@@ -128,11 +128,10 @@ def test_half_active_is_half_active_and_degenerate_on_request():
         assert np.count_nonzero((scene.exact == 0.0) & (w == 0.0)) == count
 
 
-@pytest.mark.full
 def test_obstacle_converges_to_the_analytic_solution():
     """Refining the grid shrinks the error fast, and the free boundary is met within one mesh width."""
     errors = []
-    for size in (15, 30, 60):
+    for size in (15, 30):
         scene = gallery.build("obstacle_2d", size=size)
         z = membranes.active_set(scene.problem, scene.problem.lower)
         errors.append(np.abs(z - scene.continuum).max())
@@ -142,7 +141,7 @@ def test_obstacle_converges_to_the_analytic_solution():
         assert r[~touching].min() > CONTACT_RADIUS - mesh_width
         assert np.mean(touching) == pytest.approx(np.mean(r < CONTACT_RADIUS), abs=mesh_width / 2)
     assert all(fine < coarse / 1.5 for coarse, fine in pairwise(errors))
-    assert errors[-1] < 1.0 / 60**1.5
+    assert errors[-1] < 1.0 / 30**1.5
 
 
 def test_an_american_put_in_steps_agrees_with_the_binomial_tree():

@@ -169,6 +169,16 @@ def test_limits_end_the_search_honestly(call, words):
     assert search(GAME, first_only=False, max_nodes=3) is None
 
 
+@pytest.mark.parametrize("seed", [14, 45, 52])
+def test_more_pivots_than_twice_the_rows_end_within_all_bounds(seed):
+    """Then Bland's rule chooses the row: one that is out of its bounds is never passed over."""
+    rng = np.random.default_rng(seed)
+    M, q = rng.integers(-3, 4, (15, 15)).astype(float), rng.integers(-3, 2, 15).astype(float)
+    proof = search(LCP(M, q), max_nodes=200)
+    assert isinstance(proof, NoSolution)
+    assert proof.verify()
+
+
 BEYOND_DOUBLES = LCP([[0.0, -1e-145], [1.0, 0.0]], [1e278, -1.0])  # its solution: (1, 1e423)
 
 

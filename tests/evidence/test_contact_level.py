@@ -6,10 +6,10 @@ import numpy as np
 import pytest
 import scipy.sparse as sp
 from contourpy import contour_generator
-from scipy.optimize import brentq
 
-from lcp_plugin import LCP, solve
+from lcp_plugin import LCP, gallery, solve
 from lcp_plugin.evidence.drawing import contact_level
+from lcp_plugin.gallery.problems import CONTACT_RADIUS
 
 
 def second_difference(n: int) -> sp.dia_array:
@@ -30,30 +30,15 @@ def test_a_string_leaves_the_ground_where_it_should(n, side):
     assert abs(np.interp(0.0, -level, x) - 0.5) <= 0.03 * h
 
 
-def membrane(size: int) -> tuple[LCP, np.ndarray, float]:
-    """A membrane over a ball, its nodes along an axis, and the radius up to which it touches."""
-    nodes = np.linspace(-2, 2, size + 2)
-    r = np.hypot(*np.meshgrid(nodes, nodes, indexing="ij"))
-    radius = brentq(lambda one: one**2 * (1 - np.log(one / 2)) - 1, 0.1, 0.9)
-    ball = np.where(r < 0.9, np.sqrt(1 - np.minimum(r, 0.9) ** 2), -1.0)
-    edge = -(radius**2) / np.sqrt(1 - radius**2) * np.log(np.maximum(r, radius) / 2)
-    edge[1:-1, 1:-1] = 0.0
-    q = -(edge[:-2, 1:-1] + edge[2:, 1:-1] + edge[1:-1, :-2] + edge[1:-1, 2:]).ravel()
-    M = sp.kron(second_difference(size), sp.eye_array(size)) + sp.kron(
-        sp.eye_array(size), second_difference(size)
-    )
-    return LCP(M, q, lower=ball[1:-1, 1:-1].ravel()), nodes[1:-1], radius
-
-
 @pytest.mark.parametrize("size", [30, 61, 120])
 def test_a_membrane_touches_a_ball_in_a_circle(size):
     """The boundary is round to .2 of the mesh width; the edge of the set of nodes is off by more than half of it."""
-    problem, nodes, radius = membrane(size)
-    result = solve(problem)
+    scene = gallery.obstacle_2d(size=size)
+    result, nodes = solve(scene.problem), scene.coordinates[0]
     h = nodes[1] - nodes[0]
     level = contact_level(result.certificate).reshape(size, size)
     (edge,) = contour_generator(nodes, nodes, level).lines(0.0)
-    assert abs(np.hypot(*edge.T) - radius).max() <= 0.2 * h
+    assert abs(np.hypot(*edge.T) - CONTACT_RADIUS).max() <= 0.2 * h
 
 
 def test_where_no_force_presses_the_nodes_that_rest_are_known():

@@ -9,6 +9,7 @@ import numpy as np
 import scipy.sparse as sp
 
 from lcp_plugin import NonlinearProblem
+from lcp_plugin.gallery.problems import five_point_matrix
 
 Function = Callable[[np.ndarray], np.ndarray]
 
@@ -101,10 +102,7 @@ def scarf() -> tuple[
 
 def membrane(size: int) -> tuple[NonlinearProblem, Any]:
     """−Δu + 5 eᵘ + 10 u³ ≥ f on the unit square, u ≥ a paraboloid, five points; n = size²."""
-    h = 1.0 / (size + 1)
-    ones = np.ones(size)
-    second = sp.diags_array([-ones[:-1], 2.0 * ones, -ones[:-1]], offsets=[-1, 0, 1])
-    A = sp.csr_array(sp.kron(sp.eye_array(size), second) + sp.kron(second, sp.eye_array(size)))
+    h, A = 1.0 / (size + 1), five_point_matrix(size, 4.0)
     x, y = np.meshgrid(*2 * (np.linspace(h, 1.0 - h, size),))
     obstacle = (0.3 - 2.0 * ((x - 0.5) ** 2 + (y - 0.5) ** 2)).ravel()
     force = (10.0 * np.sin(2 * np.pi * x)).ravel()

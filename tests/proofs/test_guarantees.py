@@ -15,6 +15,7 @@ from tools.refusals import assert_refused, refusals
 
 from lcp_plugin import LCP, Status, convergence_guarantee, gallery, solve
 from lcp_plugin.algorithms import REGISTRY, NPSplitting
+from lcp_plugin.gallery.problems import five_point_matrix
 
 SPD_NOT_H = [[1.0, 0.9, 0.9], [0.9, 1.0, 0.9], [0.9, 0.9, 1.0]]
 UNSCALED: dict[str, Any] = {"scaling": None, "momentum": None}
@@ -216,16 +217,10 @@ def test_the_command_tells_matrix_and_guarantees():
 # --- A matrix with the wrong sign is reported at once, a solvable matrix is not ---
 
 
-def negated_laplacian(k: int) -> sp.csr_array:
-    """Return minus the five-point stencil on k × k nodes."""
-    line = sp.diags_array([1.0, -2.0, 1.0], offsets=[-1, 0, 1], shape=(k, k))
-    return sp.csr_array(sp.kron(line, sp.eye_array(k)) + sp.kron(sp.eye_array(k), line))
-
-
 @pytest.mark.parametrize("k", [4, 10])
 def test_a_negated_m_matrix_is_proved_infeasible(k):
     """A problem with −M an M-matrix and a random q has no solution, and a proof shows it."""
-    M, rng = negated_laplacian(k), np.random.default_rng(k)
+    M, rng = -five_point_matrix(k, 4.0), np.random.default_rng(k)
     infeasible = solve(LCP(M, rng.standard_normal(k * k)))
     assert infeasible.status is Status.INFEASIBLE
     assert infeasible.infeasibility.verify()

@@ -20,15 +20,10 @@ from lcp_plugin import (
     convergence_guarantee,
     error_bound,
 )
+from lcp_plugin.gallery.problems import five_point_matrix
 from lcp_plugin.proofs import verdicts
 from lcp_plugin.systems.definiteness import symmetric_part
 from lcp_plugin.systems.factors import factor_fits
-
-
-def laplacian(m: int) -> sp.csr_array:
-    """The five-point matrix on m × m points: row sums vanish inside."""
-    line = sp.diags_array([-1.0, 2.0, -1.0], offsets=[-1, 0, 1], shape=(m, m))
-    return sp.csr_array(sp.kron(sp.eye_array(m), line) + sp.kron(line, sp.eye_array(m)))
 
 
 def with_radius(rng: np.random.Generator, n: int, radius: float) -> np.ndarray:
@@ -89,7 +84,7 @@ def test_both_sides_of_singular(n, distance):
 def test_laplacian_is_certified_through_a_solve():
     """Dominant nowhere strictly inside: H₊, SPD and P with a margin that is positive on every row."""
     for m in (5, 30, 90):
-        report = analyze(laplacian(m))
+        report = analyze(five_point_matrix(m, 4.0))
         assert report.is_h_plus
         assert report.is_positive_definite
         assert report.is_p_matrix
@@ -104,7 +99,7 @@ def test_beyond_singular_on_a_large_grid():
     m = 90
     smallest = 8.0 * np.sin(np.pi / (2 * (m + 1))) ** 2
     for factor, expected in ((0.999, True), (1.001, False)):
-        report = analyze(laplacian(m) - factor * smallest * sp.eye_array(m * m))
+        report = analyze(five_point_matrix(m, 4.0) - factor * smallest * sp.eye_array(m * m))
         assert report.is_h_plus is expected
         assert report.is_positive_definite is expected
         assert (report.v is not None) == expected
@@ -112,7 +107,7 @@ def test_beyond_singular_on_a_large_grid():
 
 def test_singular_laplacian_ties_are_exact():
     """Row sums of exactly 0 prove that the Neumann matrix is semidefinite, but not an H-matrix."""
-    grid = laplacian(60)
+    grid = five_point_matrix(60, 4.0)
     neumann = sp.csr_array(grid - sp.diags_array(grid @ np.ones(3600)))
     report = analyze(neumann)
     assert report.is_h_plus is False

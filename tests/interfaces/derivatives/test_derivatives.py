@@ -11,10 +11,10 @@ from tools.refusals import assert_refused, refusals
 
 import lcp_plugin.interfaces.derivatives as doors
 from lcp_plugin import NonlinearProblem, solve
+from lcp_plugin.gallery.problems import five_point_matrix
 
 SIDE = 12  # nodes of a membrane between two walls, which is heated and reacts: A x − 0.06 e^(x/(1 + x/9))
-LINE = sp.diags_array([-1.0, 2.0, -1.0], offsets=[-1, 0, 1], shape=(SIDE, SIDE))
-GRID = sp.csr_array(sp.kron(LINE, sp.eye_array(SIDE)) + sp.kron(sp.eye_array(SIDE), LINE))
+GRID = five_point_matrix(SIDE, 4.0)
 ROOM = {"lower": 0.0, "upper": np.full(SIDE**2, 0.25)}
 
 

@@ -3,13 +3,13 @@
 from __future__ import annotations
 
 from fractions import Fraction
-from typing import Any
 
 import numpy as np
 import pytest
 import scipy.sparse as sp
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from inputs.planted import planted_lcp
 from oracles.exact import exact_solution
 
 from lcp_plugin import LCP, Status, solve
@@ -25,30 +25,6 @@ def tridiagonal_m(n: int, rng: Generator) -> sp.csr_array:
     return sp.csr_array(
         sp.diags_array([-1.0 * below, sums // v + 1.0, -1.0 * above], offsets=[-1, 0, 1])
     )
-
-
-def planted(M: Any, rng: Generator, *, boxes: bool) -> tuple[LCP, np.ndarray]:
-    """The problem whose solution is chosen first: z and w are small integers, so that q is exact.
-
-    In every tenth row both z is at its bound and w = 0.
-    """
-    n = M.shape[0]
-    lower, upper = rng.integers(-9, 9, n).astype(float), np.full(n, np.inf)
-    if boxes:
-        upper = np.where(rng.random(n) < 0.9, lower + rng.integers(0, 9, n), np.inf)
-        lower = np.where(rng.random(n) < 0.8, lower, -np.inf)
-    share = rng.random(2)
-    at_lower = (rng.random(n) < share[0]) & (lower > -np.inf)
-    at_upper = (rng.random(n) < share[1]) & (upper < np.inf) & ~at_lower
-    base = np.where(lower > -np.inf, lower, np.where(upper < np.inf, upper - 99.0, 0.0))
-    z = np.where(
-        at_lower, lower, np.where(at_upper, upper, np.minimum(base + rng.integers(0, 99, n), upper))
-    )
-    sign = np.where(z == lower, 1.0, 0.0) - np.where((z == upper) & (lower < upper), 1.0, 0.0)
-    w = np.where(
-        lower == upper, rng.integers(-9, 9, n), sign * rng.integers(0, 9, n) * (rng.random(n) < 0.9)
-    )
-    return LCP(M, w - M @ z, lower=lower, upper=upper), z
 
 
 def band(n: int, below: int, above: int, rng: Generator) -> np.ndarray:
@@ -148,7 +124,8 @@ def test_other_bands_take_rounds(make, below, above, boxes):
     """Boxes, more bands: H₊-matrices are solved to seven digits; others too, or by auto if the wrong rows cycle."""
     rng = np.random.default_rng(3)
     for _ in range(40):
-        problem, z = planted(make(int(rng.integers(20, 200)), below, above, rng), rng, boxes=boxes)
+        M = make(int(rng.integers(20, 200)), below, above, rng)
+        problem, z = planted_lcp(M, rng, bounds=boxes)
         result = solve(problem, "banded")
         if make is definite and result.status is Status.STALLED:
             result = solve(problem)

@@ -19,6 +19,7 @@ from scipy.sparse.linalg import spsolve
 
 from lcp_plugin import LCP, Certificate, Status, solve
 from lcp_plugin.algorithms import Lemke, Step
+from lcp_plugin.gallery.problems import five_point_matrix
 from lcp_plugin.methods.lemke import rows_of_components
 from lcp_plugin.methods.lemke.pivoting_path import LemkePath, canonical_box, starts
 from lcp_plugin.methods.lemke.tableau import GOING_ON, LOST, SOLVED
@@ -231,9 +232,7 @@ def test_a_time_limit_ends_starts_that_have_no_path(monkeypatch):
 
 def test_a_square_system_is_one_factorization():
     """Without bounds, auto solves a sparse nonsymmetric system with a negative diagonal by newton, in one step."""
-    line = sp.diags_array([1.5, -2.0, 0.25], offsets=[-1, 0, 1], shape=(75, 75))
-    one = sp.eye_array(75)
-    M = sp.csr_array(sp.kron(line, one) + sp.kron(one, line))
+    M = five_point_matrix(75, -4.0, (1.5, 0.25))
     result = solve(LCP(M, np.ones(5625), lower=-INF))
     assert (result.status, result.algorithm, result.iterations) == (
         Status.SOLVED,

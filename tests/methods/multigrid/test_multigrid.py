@@ -11,6 +11,7 @@ from stability_atlas import balanced_matrix
 
 from lcp_plugin import LCP, Result, Status, gallery, solve
 from lcp_plugin.algorithms import Multigrid
+from lcp_plugin.gallery.problems import five_point_matrix
 from lcp_plugin.systems.hierarchy.levels import hierarchy_of
 from lcp_plugin.systems.hierarchy.truncation import Truncation
 
@@ -42,7 +43,7 @@ def test_neumann_problem_with_a_mean_load_below_zero_is_infeasible(algorithm):
     D = sp.diags_array(
         [np.r_[1, np.full(38, 2), 1], -np.ones(39), -np.ones(39)], offsets=[0, 1, -1]
     )
-    M = sp.kron(D, sp.eye_array(40)) + sp.kron(sp.eye_array(40), D)
+    M = sp.kronsum(D, D)
     q = 0.3 * np.random.default_rng(0).standard_normal(1600) - 0.01
     assert solve(LCP(M, q), algorithm).status is Status.INFEASIBLE
 
@@ -99,15 +100,10 @@ def test_couplings_that_jump_from_edge_to_edge(kind, decades):
 
 def plate(size: int) -> LCP:
     """Return a simply supported plate above a paraboloid: thirteen points, no M-matrix."""
-    line = sp.diags_array([-1.0, 2.0, -1.0], offsets=[-1, 0, 1], shape=(size, size))
-    laplacian = sp.kron(line, sp.eye_array(size)) + sp.kron(sp.eye_array(size), line)
+    laplacian = five_point_matrix(size, 4.0)
     axis = np.linspace(-0.5, 0.5, size + 2)[1:-1]
     obstacle = (0.1 - 2.0 * np.add.outer(axis**2, axis**2)).ravel()
-    return LCP(
-        sp.csr_array(laplacian @ laplacian),
-        np.full(size**2, 20.0 / (size + 1) ** 4),
-        lower=obstacle,
-    )
+    return LCP(laplacian @ laplacian, np.full(size**2, 20.0 / (size + 1) ** 4), lower=obstacle)
 
 
 def planted(seed: int) -> tuple[LCP, np.ndarray]:

@@ -14,6 +14,7 @@ from oracles.exact_criterion import failures
 
 from lcp_plugin import LCP, Status, solve
 from lcp_plugin.algorithms import Newton
+from lcp_plugin.gallery.problems import five_point_matrix
 
 TOLERANCE = 1e-9
 
@@ -21,11 +22,6 @@ TOLERANCE = 1e-9
 def lower_triangle(n: int) -> np.ndarray:
     """Murty's matrix: 1 on the diagonal, 2 below."""
     return 2.0 * np.tril(np.ones((n, n)), -1) + np.eye(n)
-
-
-def five_point(m: int) -> sp.csr_array:
-    line = sp.diags_array([-np.ones(m - 1), 2.0 * np.ones(m), -np.ones(m - 1)], offsets=[-1, 0, 1])
-    return sp.csr_array(sp.kron(line, sp.eye_array(m)) + sp.kron(sp.eye_array(m), line))
 
 
 # --- Newton ------------------------------------------------------------------------------------------------
@@ -39,7 +35,7 @@ def test_newton_finds_the_planted_answer_with_bounds_of_every_kind(kind, seed):
     B = rng.integers(-3, 4, (40, 40)).astype(float)
     M = {
         "dense SPD": lambda: B @ B.T + np.eye(40),
-        "sparse SPD": lambda: five_point(15),
+        "sparse SPD": lambda: five_point_matrix(15, 4.0),
         "banded": lambda: sp.diags_array(
             [-np.ones(299), np.full(300, 4.0), -2.0 * np.ones(299)], offsets=[-1, 0, 1]
         ),
@@ -95,6 +91,7 @@ import sys
 import numpy as np, scipy.sparse as sp
 from itertools import islice
 from lcp_plugin import LCP
+from lcp_plugin.gallery.problems import five_point_matrix
 from lcp_plugin.methods.newton import Newton
 a, b = int(sys.argv[1]), int(sys.argv[2])
 cost = np.random.default_rng(5).uniform(1, 10, a * b)

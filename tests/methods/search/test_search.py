@@ -209,7 +209,7 @@ def test_energy_that_falls_for_ever_does_not_keep_the_run_from_a_proof():
     """The energy of a singular M without a solution is unbounded, and INFEASIBLE is proved."""
     line = sp.diags_array([-1.0, 2.0, -1.0], offsets=[-1, 0, 1], shape=(20, 20)).tolil()
     line[0, 0] = line[-1, -1] = 1.0
-    M = sp.csr_array(sp.kron(line, sp.eye_array(20)) + sp.kron(sp.eye_array(20), line))
+    M = sp.kronsum(line, line, format="csr")
     result = solve(LCP(M, np.full(400, -1e-3)), "multigrid")
     assert result.status is Status.INFEASIBLE
     assert result.iterations < 10_000

@@ -23,6 +23,7 @@ from lcp_plugin import (
     march,
     solve,
 )
+from lcp_plugin.gallery.problems import five_point_matrix
 from lcp_plugin.problems.march import BandSteps, March
 from lcp_plugin.problems.sensitivity import Derivative
 
@@ -145,11 +146,8 @@ CASES = {
 
 def grid(m: int) -> sp.csr_array:
     """A five-point stencil with a drift, its rows in an order with no band."""
-    line = sp.diags_array([-1.0, 2.2, -0.8], offsets=[-1, 0, 1], shape=(m, m))
     rows = np.random.default_rng(0).permutation(m * m)
-    return sp.csr_array(
-        sp.csr_array(sp.kron(line, sp.eye_array(m)) + sp.kron(sp.eye_array(m), line))[rows][:, rows]
-    )
+    return five_point_matrix(m, 4.4, (-1.0, -0.8))[rows][:, rows]
 
 
 def change_of(done: March, seed: int) -> dict[str, Any]:
@@ -416,10 +414,7 @@ def test_march_on_a_band_after_ctrl_c_keeps_the_steps_so_far(monkeypatch):
 def test_a_step_that_the_method_before_does_not_take_is_planned_by_auto():
     """Sweeps solve the steps of a heat equation; the last matrix has a zero on its diagonal, so they refuse it."""
     nodes, time_step = 20, 0.2
-    line = sp.diags_array([-1.0, 2.0, -1.0], offsets=[-1, 0, 1], shape=(nodes, nodes))
-    plate = sp.eye_array(nodes**2) + time_step * (
-        sp.kron(line, sp.eye_array(nodes)) + sp.kron(sp.eye_array(nodes), line)
-    )
+    plate = sp.eye_array(nodes**2) + time_step * five_point_matrix(nodes, 4.0)
     other = plate.tolil()
     other[0, 0], other[0, 1], other[1, 0] = 0.0, 1.0, -1.0
     waves = np.sin(np.linspace(0.0, 9.0, nodes**2))

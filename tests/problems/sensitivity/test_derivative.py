@@ -31,6 +31,7 @@ from lcp_plugin import (
     solve,
     solve_batch,
 )
+from lcp_plugin.gallery.problems import five_point_matrix
 from lcp_plugin.problems.sensitivity import Derivative
 from lcp_plugin.strategies import h_plus_matrices, solved_lcps
 
@@ -232,9 +233,7 @@ def test_a_change_that_leaves_no_solution_is_refused_in_words():
 
 def convection(n: int, drift: float) -> sp.csr_array:
     """The five-point stencil on n × n points with upwind differences: a nonsymmetric M-matrix."""
-    one = sp.diags_array([-1.0 - drift, 2.0 + drift, -1.0], offsets=[-1, 0, 1], shape=(n, n))
-    eye = sp.eye_array(n)
-    return sp.csr_array(sp.kron(one, eye) + sp.kron(eye, one) + 1e-3 * sp.eye_array(n * n))
+    return five_point_matrix(n, 4.0 + 2.0 * drift + 1e-3, (-1.0 - drift, -1.0))
 
 
 # --- Mistakes -----------------------------------------------------------------------------------------------

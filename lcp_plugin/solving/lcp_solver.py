@@ -15,9 +15,10 @@ from ..core.checks import Vector, checked_start
 from ..core.deadline import Clock
 from ..core.lcp import LCP
 from ..core.settings import Settings
+from ..judges.lcp import row_data
 from ..methods.small import GUESSED, Rounds, fails_surely, measure_small
 from .dispatch import parse_call
-from .result import NOTHING_TO_DO, Callback, Result, StageRecord
+from .result import NOTHING_TO_DO, Callback, Result, StageRecord, end_at_once, with_samples
 
 ROUNDS = Rounds()
 
@@ -49,7 +50,7 @@ def solve_lcp(
     first = (ROUNDS if method is None else method).first_points(problem, start, settings.tolerance)
     if first is not None:
         first = measured_steps(problem, first, start, settings)
-        if callback is None and not settings.is_watched:
+        if not settings.verbose:
             taken: list[Step] = []
             while len(taken) < settings.max_iterations and clock.read() < settings.max_seconds:
                 if (step := next(first, None)) is None:
@@ -57,7 +58,16 @@ def solve_lcp(
                 taken.append(step)
                 if (point := step.measured).passes:
                     stages = records_of(taken, method)
-                    return Result.of(problem, point, stages, settings, clock.read(), method)
+                    begun: tuple[Vector, float | None] = start, 1.0  # of z°, the reference
+                    if start is not problem.nearest_to_zero:
+                        is_watched = settings.record or callback is not None
+                        begun = start, row_data(problem).estimate(start) if is_watched else None
+                    result = Result.of(problem, point, stages, settings, clock.read(), method)
+                    known = with_samples(result, settings, callback, begun, point.residual)
+                    if known is not None:
+                        return known
+                    callback = end_at_once
+                    break
                 if point.is_limited or not point.residual < math.inf:  # a run ends here
                     break
             first = chain(taken, first)

@@ -5,17 +5,17 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import cached_property
-from typing import TYPE_CHECKING, Any, ClassVar, NamedTuple, Self
+from typing import TYPE_CHECKING, Any, ClassVar, NamedTuple, Self, TypeVar
 
 import numpy as np
 
 from ..core.algorithm import Algorithm
-from ..core.checks import MadeOnAccess, Vector, read_only, restore_state
+from ..core.checks import MadeOnAccess, Vector, fill, read_only, restore_state
 from ..core.errors import NotConverged, UnsuitableMatrix
 from ..core.lcp import LCP
 from ..core.names import Names, format_count, remark_on_labels
 from ..core.problem_classes import Door
-from ..core.settings import PROVEN, Settings, Status
+from ..core.settings import PROVEN, Settings, Status, checked_callback
 from ..judges.certificate import Certificate
 from ..judges.lcp import Measured, RowData, row_data
 from ..judges.worst_rows import SHOWN, WorstRows, worst_pairs
@@ -71,6 +71,14 @@ class Sample:
 
 
 Callback = Callable[[Sample, Any], Any]
+
+
+R = TypeVar("R", bound="BaseResult")
+
+
+def end_at_once(sample: Sample, z: Any) -> bool:
+    """End a run at its start: the callback of a run whose user ended it there."""
+    return True
 
 
 class Outcome:
@@ -271,6 +279,38 @@ class BaseResult(MadeOnAccess, Outcome):
 
     def __str__(self) -> str:
         return self.explain()
+
+
+def with_samples(
+    result: R,
+    settings: Settings,
+    callback: Callback | None,
+    start: tuple[Vector, float | None],
+    residual: float,
+) -> R | None:
+    """Return the result of a solve without a run, recorded and reported; None if the callback ends it at the start.
+
+    Parameters
+    ----------
+    start : array, float or None
+        With its residual.
+    residual : float
+        Of the result.
+    """
+    if checked_callback(callback) is None and not settings.record:
+        return result
+    name = result.stages[-1].name if result.stages else result.algorithm
+    last = Sample(result.iterations, getattr(result, "work", 0.0), result.seconds, residual, name)
+    first = Sample(0, 0.0, result.seconds, start[1], name)
+    samples = (first, last) if last.iteration else (last,)
+    for sample, z in zip(samples, (start[0], result.x)[-len(samples) :], strict=True):
+        try:
+            is_over = callback is not None and callback(sample, read_only(z))
+        except KeyboardInterrupt:  # Ctrl-C, as in a run
+            is_over = True
+        if is_over and sample is not last:
+            return None
+    return fill(result, history=samples if settings.record else ())
 
 
 @dataclass(frozen=True, eq=False, repr=False)

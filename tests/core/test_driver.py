@@ -8,7 +8,7 @@ import signal
 from collections.abc import Iterator
 from dataclasses import dataclass
 from itertools import pairwise
-from typing import ClassVar
+from typing import Any, ClassVar
 
 import numpy as np
 import pytest
@@ -18,6 +18,7 @@ from inputs.families import BOUNDED, DIRECT
 
 from lcp_plugin import (
     LCP,
+    BoundedLeastSquares,
     FrictionalContact,
     InvalidOption,
     NonlinearProblem,
@@ -231,6 +232,41 @@ def test_history_is_geometric_and_complete(name):
     assert all(sample.residual is not None and sample.residual >= 0.0 for sample in samples)
     assert samples[0].seconds == result.setup_seconds
     assert all(a.seconds <= b.seconds and a.work <= b.work for a, b in pairwise(samples))
+
+
+SMALL = {
+    "LCP": LCP([[2.0, 1.0], [1.0, 2.0]], [-5.0, 1.0]),
+    "program": QuadraticProgram(np.eye(2), [-1.0, -3.0], G=[[1.0, 1.0]], h=[2.0]),
+    "fit": BoundedLeastSquares([[1.0, 0.0], [1.0, 1.0], [0.0, 1.0]], [2.0, 1.0, -1.0]),
+    "contact": FrictionalContact(np.eye(3), [-1.0, 0.3, 0.1], 0.5, dimension=3),
+}
+
+
+@pytest.mark.parametrize("name", SMALL)
+def test_a_watched_small_problem_needs_no_run(monkeypatch, name):
+    """It has the bits of the plain call, a first and a last sample, and the callback sees start and solution."""
+    problem, seen = SMALL[name], []
+    plain = solve(problem)
+    with monkeypatch.context() as patch:
+        patch.setattr("lcp_plugin.solving.run.Run.follow_all", None)
+        watched = solve(problem, record=True, callback=lambda *at: seen.append(at))
+    assert watched.is_solved
+    assert watched.x.tobytes() == plain.x.tobytes() == seen[-1][1].tobytes()
+    assert watched.history == tuple(sample for sample, _ in seen)
+    assert [sample.iteration for sample in watched.history] == [0, plain.iterations]
+    assert watched.history[-1].residual <= watched.tolerance
+    assert not plain.history
+
+
+@pytest.mark.parametrize("name", SMALL)
+def test_a_callback_ends_a_small_problem_at_its_start(name):
+    """It is called once, at the start, which is the result; another type than a function is an InvalidOption."""
+    seen: list[Any] = []
+    result = solve(SMALL[name], callback=lambda sample, z: seen.append(z) or True)
+    assert result.status is Status.INTERRUPTED
+    assert len(seen) == 1
+    with pytest.raises(InvalidOption, match="callback must be callable"):
+        solve(SMALL[name], record=True, callback=5)
 
 
 def test_callback_stops_the_run_and_cannot_write():

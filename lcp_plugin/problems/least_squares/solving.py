@@ -22,7 +22,7 @@ from ...core.kernels.floats import FREE, HIGH, LOW
 from ...core.settings import DEFAULT, Settings, Status
 from ...engines import has_piqp
 from ...methods.small import SMALL_DENSE, active_set_points, solve_stack
-from ...solving.result import BaseResult, Callback, StageRecord
+from ...solving.result import BaseResult, Callback, StageRecord, end_at_once, with_samples
 from ...solving.run import CUT_SHORT, FAILED, Named, Progress, Run, Stage, say
 from . import engines
 from .certificate import Optimality, exceeds, measure_stack, onto_bounds, worst_columns
@@ -89,7 +89,7 @@ def solve_least_squares(
     start = None if x0 is None else problem.checked_start(x0)
     is_limited = not settings.max_iterations or settings.max_seconds <= 0.0
     first = None
-    if callback is None and not (settings.is_watched or is_limited):
+    if not (settings.verbose or is_limited):
         first = first_point(problem, start, settings.tolerance)
         if first is not None and first.passes:
             name, because = NNLS if first.x is not start else (START, "")
@@ -97,10 +97,16 @@ def solve_least_squares(
             run = {"iterations": steps, "seconds": clock.read(), "tolerance": settings.tolerance}
             run |= {"algorithm": name, "stages": (StageRecord(name, because, 1, 1.0),) * steps}
             make = partial(LeastSquaresResult.at, first, status=Status.SOLVED, **run)
-            return LeastSquaresResult.of_known(make, x=read_only(first.x), status=Status.SOLVED)
+            known = LeastSquaresResult.of_known(make, x=read_only(first.x), status=Status.SOLVED)
+            begun = problem.nearest_to_zero if start is None else start, None
+            if (
+                result := with_samples(known, settings, callback, begun, first.residual)
+            ) is not None:
+                return result
+            callback = end_at_once
     progress = Progress(problem, settings, callback, clock)
     search = LeastSquaresRun(problem, progress, start, first)
-    result: LeastSquaresResult = search.solve(search.plan())
+    result = search.solve(search.plan())
     if settings.verbose:
         say(f"{result.status.name}: {result.advice}")
     return result
@@ -112,14 +118,15 @@ def first_point(
     """Return the measured solution by nnls, or the start if it also passes; None if nnls does not suit the problem."""
     if not engines.is_for_nnls(problem):
         return None
-    enclosures, x = Enclosures(problem), engines.nnls_point(problem)
-    optimality = Optimality.of(enclosures, x, tolerance=tolerance)
-    if optimality.passes and start is not None:
-        least = problem.cost(x, problem.A @ x - problem.b)
-        # A start that costs clearly more does not pass
-        if problem.cost(start, problem.A @ start - problem.b) <= (1.0 + 4.0 * tolerance) * least:
-            at_start = Optimality.of(enclosures, start, tolerance=tolerance)
-            return at_start if at_start.passes else optimality
+    enclosures, points = Enclosures(problem), [engines.nnls_point(problem)]
+    if start is not None:
+        here, least = (problem.cost(x, problem.A @ x - problem.b) for x in (start, *points))
+        if here <= (1.0 + 4.0 * tolerance) * least:  # a start that costs clearly more does not pass
+            points.insert(0, start)
+    for x in points:
+        optimality = Optimality.of(enclosures, x, tolerance=tolerance)
+        if optimality.passes:
+            break
     return optimality
 
 

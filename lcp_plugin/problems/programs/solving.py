@@ -24,7 +24,7 @@ from ...methods.interior_point import InteriorPoint
 from ...methods.small import LOOP_UP_TO
 from ...solving.dispatch import parse_call
 from ...solving.lcp_solver import solve_lcp
-from ...solving.result import Sample, StageRecord
+from ...solving.result import Sample, StageRecord, end_at_once, with_samples
 from ...solving.run import Named, Progress, Run, Stage, say
 from ..least_squares.solving import solve_least_squares
 from .conversion import optimality_conditions
@@ -98,10 +98,14 @@ def solve_program(
     name = algorithm if isinstance(algorithm, str) else algorithm.name
     is_limited = not settings.max_iterations or settings.max_seconds <= 0.0
     end = None
-    if name == "auto" and callback is None and not (settings.is_watched or is_limited):
-        end, result = first_point(program, settings, clock)
-        if result is not None:
-            return result
+    if name == "auto" and not (settings.verbose or is_limited):
+        end, first, residual = first_point(program, settings, clock)
+        is_watched = settings.record or callback is not None
+        if first is not None and (first.is_solved or not is_watched):
+            ends = (nearest(program)[0], None), residual
+            if (result := with_samples(first, settings, callback, *ends)) is not None:
+                return result
+            callback = end_at_once
     run = ProgramRun(program, name, settings, solve_options, callback, clock, start, end)
     if engine is not None:
         plan = run.engine_stages(engine)
@@ -152,39 +156,40 @@ def checked_start_of_program(program: QuadraticProgram, z0: Any) -> Vector:
 
 def first_point(
     program: QuadraticProgram, settings: Settings, clock: Clock
-) -> tuple[EnginePoint | None, QuadraticProgramResult | None]:
-    """Return daqp's end on a small program, and the result if a run of auto would end with this point.
+) -> tuple[EnginePoint | None, QuadraticProgramResult | None, float]:
+    """Return daqp's end on a small program, the result if a run of auto would end with this point, and its residual.
 
     A run takes the end as that of its first stage.
     """
     matrices = program.matrices
     if not matrices.is_small or sum(matrices.sizes[:3]) > LOOP_UP_TO:  # a run costs less than daqp
-        return None, None
+        return None, None, math.inf
     reduced = program.folded.reduced
     if (layout := reduced.matrices.of_daqp) is None:
-        return None, None
+        return None, None, math.inf
     c, judged, lower, upper = reduced.c, reduced.judged, reduced.lower, reduced.upper
     is_modest = 1e-12 < c @ c + np.vdot(layout[0], layout[0]) < 1e18  # `with_modest_costs` keeps it
     if not is_modest or (reduced.b.size and regression_of(reduced) is not None):
-        return None, None
+        return None, None, math.inf
     options = DAQP.defaults
     if settings.max_iterations < options["iter_limit"]:
         options = {**options, "iter_limit": settings.max_iterations}
     m, tolerance = reduced.h.size, settings.tolerance
     end = DAQP.end_of(m, *layout, c.copy(), *ends_of_rows(judged.d, m, lower, upper), options)
     if end.reported is EngineStatus.INFEASIBLE:
-        return end, infeasible_result(program, end, settings, clock.read())
+        return end, infeasible_result(program, end, settings, clock.read()), math.inf
     x, y = clip(without_noise(end.x), lower, upper), without_noise(end.y)  # as a run begins
     errors, x = KKTErrors.with_point(judged, x, y, tolerance)
     is_sharp = errors.meet(tolerance) and errors.gap <= NO_POLISH * (x.size + y.size)
     if not is_sharp or is_in_doubt(program, errors, x):
-        return end, None
+        return end, None, math.inf
     # Multipliers of a point that passes overflow only if coefficients divide them
     make = QPSolution.on_access if reduced is program else QPSolution.from_reduced
     fields = {"algorithm": "auto: daqp", "iterations": end.iterations, "tolerance": tolerance}
     stages = (StageRecord(DAQP.name, DAQP.solves, end.iterations, 0.0),)
     fields |= {"seconds": clock.read(), "stages": stages, "status": Status.SOLVED}
-    return end, QuadraticProgramResult.of_known(None, **fields, solution=make(program, x, y))
+    result = QuadraticProgramResult.of_known(None, **fields, solution=make(program, x, y))
+    return end, result, float(errors.largest)
 
 
 def infeasible_result(

@@ -208,8 +208,9 @@ def _best_value(problem: cp.Problem) -> tuple[float, str]:
         try:
             with warnings.catch_warnings(action="ignore"):  # on approximations that cvxpy chooses
                 problem.solve()
-            is_known = problem.value is not None and problem.value < np.inf
-            return float(problem.value) if is_known else np.nan, problem.status
+            best = problem.solution.opt_val  # rounding may put the point outside of a domain
+            is_known = best is not None and best < np.inf
+            return float(best) if is_known else np.nan, problem.status
         except SolverError as error:
             return np.nan, str(error)
         finally:

@@ -59,7 +59,7 @@ from ...problems.programs.program import VECTORS, QuadraticProgram
 from ...problems.sensitivity import derivative
 
 Convert = Callable[[Any, str], Any]  # of a library: the array of an argument with this name
-PROGRAM_ARRAYS = "P", "c", "G", "h", "A", "b", "lower", "upper"
+ENDS, NUMBERS = ("lower", "upper"), ("lower", "upper", "friction")  # each may be one number
 
 
 class Layer(ABC):
@@ -85,19 +85,17 @@ class Layer(ABC):
         checked_overrides({name: options[name] for name in fixed})  # JAX may trace a tolerance
 
     of_problem: ClassVar[tuple[str, ...]] = ()  # options of the problem
-    matrices_at: ClassVar[tuple[int, ...]] = (0,)  # places of the matrices among the arrays
-    bounds_at: ClassVar[tuple[int, ...]] = ()  # places of vectors of the length of the second array
     takes_start: ClassVar[bool] = True
-    alone: ClassVar[str]  # the problem of an instance, as `solve` takes it
+    kind: ClassVar[str]  # the class of the problem of an instance
+    own_axes: ClassVar[dict[str, str]]  # of the arrays of one problem, a letter for each size
     names: ClassVar[tuple[str, ...]]  # of the gradients by all arrays
 
     @classmethod
     def problem_shapes(cls, *shapes: tuple[int, ...]) -> list[tuple[int, ...]]:
         """Return the shapes of the arrays of one problem, from the shapes of arrays with batch axes."""
-        return [
-            shape[-2:] if k in cls.matrices_at else shapes[1 if k in cls.bounds_at else k][-1:]
-            for k, shape in enumerate(shapes)
-        ]
+        pairs = zip(cls.own_axes.items(), shapes, strict=True)
+        ends = (((shapes[1] if name in ENDS else shape), len(own)) for (name, own), shape in pairs)
+        return [shape[-count:] for shape, count in ends]
 
     @abstractmethod
     def _solved(self, axes: tuple[int, ...], data: Sequence[Any], options: object) -> BatchAnswers:
@@ -105,30 +103,35 @@ class Layer(ABC):
 
     @classmethod
     def axes_of(cls, *shapes: tuple[int, ...]) -> tuple[int, ...]:
-        """Return the batch axes: all axes except the last (of M: the last two).
+        """Return the batch axes: all axes in front of those of one problem.
 
         Raises
         ------
         InvalidProblem
-            If the axes do not broadcast, or M has another shape than (…, n, n).
+            Names an array that does not fit the arrays before it, or all of them if their axes do not broadcast.
 
         Examples
         --------
-        >>> LCPLayer.axes_of((5, 1, 3, 3), (7, 3), (3,))
+        >>> LCPLayer.axes_of((5, 1, 3, 3), (7, 3), (3,), ())
         (5, 7)
         """
-        M, q, *others = shapes
-        if not q:
-            raise InvalidProblem("q must have shape (…, n), got a number")
-        if M[-2:] not in ((0, 0), (*q[-1:], *q[-1:])):
-            raise InvalidProblem(f"M must have shape (…, n, n), n = {q[-1]} as q has, got {M}")
+        sizes, fronts = dict[str, int](), list[tuple[int, ...]]()
+        for (name, letters), shape in zip(cls.own_axes.items(), shapes, strict=True):
+            needed, own = [sizes.get(one, one) for one in letters], shape[-len(letters) :]
+            is_number = name in NUMBERS and own in ((), (1,))
+            if not is_number and own != (0, 0):  # of a constant M
+                fits = len(own) == len(letters)
+                pairs = zip(letters, own, strict=False)
+                if not (fits and all(sizes.setdefault(*pair) == pair[1] for pair in pairs)):
+                    need = f"(…, {', '.join(map(str, needed))})"
+                    need += ", or be a number" * (name in NUMBERS)
+                    raise InvalidProblem(f"{name} must have shape {need}, got {shape}")
+            fronts.append(shape[: -len(letters)])
         try:
-            return np.broadcast_shapes(M[:-2], q[:-1], *(shape[:-1] for shape in others))
+            return np.broadcast_shapes(*fronts)
         except ValueError:
-            raise InvalidProblem(
-                f"the axes in front of a problem's own must broadcast, got M {M}, q {q} and "
-                f"{', '.join(map(str, others))}"
-            ) from None
+            received = ", ".join(map("{} {}".format, cls.own_axes, shapes))
+            raise InvalidProblem(f"the axes in front must broadcast, got {received}") from None
 
     def _differentiated(self, answers: BatchAnswers) -> Any:
         """Return the derivative of the results."""
@@ -159,7 +162,8 @@ class Layer(ABC):
             kinds = (InvalidProblem, UnsupportedModel)
             types = (kind for kind in kinds for error in errors.values() if isinstance(error, kind))
             kind = next(types, NotConverged)
-            raise _first(errors, self.axes, kind, self.alone if kind is NotConverged else "")
+            alone = f"{self.kind}({', '.join(self.own_axes)})" if kind is NotConverged else ""
+            raise _first(errors, self.axes, kind, alone)
         self.is_solved = np.ones(math.prod(self.axes), np.bool_)
         self.is_solved[[*errors]] = False
         z = np.where(self.is_solved[:, np.newaxis], self.derivative.z, 0.0)
@@ -203,8 +207,7 @@ class LCPLayer(Layer):
         M if it is a constant of the layer; the array in its place has no entries.
     """
 
-    bounds_at = 2, 3
-    alone = "LCP(M, q, lower, upper)"
+    kind, own_axes = "LCP", dict(M="nn", q="n", lower="n", upper="n")
 
     def __init__(self, M: Array = None, *, mask: bool = False, **options: Any) -> None:
         super().__init__(mask=mask, **options)
@@ -214,10 +217,6 @@ class LCPLayer(Layer):
     def of(cls, convert: Convert, M: Array, q: Array, bounds: Array, **options: Any) -> LayerCall:
         """Return the layer and its arrays."""
         q, lower, upper = convert(q, "q"), convert(bounds[0], "lower"), convert(bounds[1], "upper")
-        for name, bound in (("lower", lower), ("upper", upper)):
-            if tuple(bound.shape[-1:]) not in ((), (1,), tuple(q.shape[-1:])):
-                need = f"a number or have the length of q, {q.shape[-1]}"
-                raise InvalidProblem(f"{name} must be {need}, got shape {tuple(bound.shape)}")
         is_constant = sp.issparse(M)
         M_of_call = convert(np.zeros((0, 0)) if is_constant else M, "M")
         return cls(M if is_constant else None, **options), (M_of_call, q, lower, upper)
@@ -236,8 +235,9 @@ class LCPLayer(Layer):
 class QPLayer(Layer):
     """Quadratic programs as a function of P, c, G, h, A, b, lower and upper; P by its symmetric part."""
 
-    matrices_at, bounds_at, takes_start = (0, 2, 4), (6, 7), False
-    alone, names = "QuadraticProgram(P, c, G, h, A, b, lower, upper)", PROGRAM_ARRAYS
+    kind, takes_start = "QuadraticProgram", False
+    own_axes: ClassVar = dict(P="nn", c="n", G="mn", h="m", A="pn", b="p", lower="n", upper="n")
+    names = tuple(own_axes)
 
     @classmethod
     def of(cls, convert: Convert, data: dict[str, Any], **options: Any) -> LayerCall:
@@ -258,26 +258,7 @@ class QPLayer(Layer):
                 raise InvalidProblem(f"{present} is given without {missing}; pass both, or neither")
             if are_none[0]:
                 data[rows], data[right] = np.zeros((0, *n)), np.zeros(0)
-        return cls(**options), tuple(convert(data[name], name) for name in PROGRAM_ARRAYS)
-
-    @classmethod
-    def axes_of(cls, *shapes: tuple[int, ...]) -> tuple[int, ...]:
-        """Return the batch axes; the error names the array that does not fit."""
-        names, n = PROGRAM_ARRAYS, (*(shapes[0][-1:] or shapes[1][-1:]), "n")[0]
-        m, p = (shapes[k][-2] if len(shapes[k]) > 1 else name for k, name in ((2, "m"), (4, "p")))
-        needed_shapes: Array = (n, n), (n,), (m, n), (m,), (p, n), (p,), (n,), (n,)
-        fronts = []
-        for name, shape, needed in zip(names, shapes, needed_shapes, strict=True):
-            is_number = name in ("lower", "upper") and shape[-1:] in ((), (1,))
-            if shape[-len(needed) :] != needed and not is_number:
-                need = "(…, " + ", ".join(map(str, needed)) + ")"
-                raise InvalidProblem(f"{name} must have shape {need}, got {shape}")
-            fronts.append(shape[: -len(needed)])
-        try:
-            return np.broadcast_shapes(*fronts)
-        except ValueError:
-            received = ", ".join(map("{} {}".format, names, shapes))
-            raise InvalidProblem(f"the axes in front must broadcast, got {received}") from None
+        return cls(**options), tuple(convert(data[name], name) for name in cls.own_axes)
 
     def _solved(self, axes: tuple[int, ...], data: Sequence[Any], options: Any) -> BatchAnswers:
         arrays = 0.5 * (data[0] + data[0].swapaxes(-1, -2)), data[2], data[4]
@@ -318,7 +299,8 @@ def _program(P: Array, G: Array, A: Array, vectors: dict[str, Any]) -> Quadratic
 class ContactLayer(Layer):
     """Contact problems with friction as a function of W, b and friction."""
 
-    alone, names = "FrictionalContact(W, b, friction)", ("M", "q", "friction")
+    kind, own_axes = "FrictionalContact", dict(W="nn", b="n", friction="k")
+    names = "M", "q", "friction"
     of_problem = "contacts", "dimension", "equations"
 
     @classmethod

@@ -169,7 +169,7 @@ lcp_layer(t(EYE).to_sparse(), t(ONES)) → M must be dense, got torch.sparse_coo
 lcp_layer(t(EYE).to("meta"), t(ONES)) → M must be on the CPU, got meta
 lcp_layer(EYE, 1j * ONES) → q must be an array of real numbers, got complex
 lcp_layer(t(EYE), t(np.ones((3, 2))), t(np.zeros((4, 2)))) → must broadcast, got M
-lcp_layer(t(EYE), t(ONES), t(np.zeros(3))) → lower must be .* the length of q, 2
+lcp_layer(t(EYE), t(ONES), t(np.zeros(3))) → lower must have shape \(…, 2\), or be a number, got \(3,\)
 """)
 def test_what_is_refused(call, words):
     """Other types, devices, layouts and shapes raise errors with the argument and the remedy."""

@@ -53,7 +53,9 @@ except ImportError:
 from .core.checks import AnyMatrix, Vector, checked_vector, is_number
 from .core.errors import InvalidOption, InvalidProblem
 from .core.lcp import LCP
+from .core.names import Names
 from .core.settings import whole_number
+from .judges.worst_rows import pair_text
 from .problems.programs.conversion import QuadraticProgram
 from .proofs.exact import exact_residuals, exact_slack, is_exact_solution, rational
 from .proofs.no_solution import Infeasibility
@@ -603,7 +605,7 @@ def assert_solves(
     ...     assert_solves(diagonal, matrices=h_plus_matrices(2))
     ... except AssertionError as report:
     ...     print(str(report).splitlines()[0])
-    diagonal: z is not complementary: w[1] = 1, but z[1] = 1.5 lies between its bounds
+    diagonal: w[1] = 1 while z[1] = 1.5 > 0
     """
     if not callable(solver):
         raise InvalidOption(f"solver must be callable: (M, q, lower, upper) → z, got {solver!r}")
@@ -679,7 +681,7 @@ def check_solution(
     Examples
     --------
     >>> check_solution(LCP([[2, 1], [1, 2]], [-5, 1]), [2.5, -1], None)
-    'z is outside its bounds: z[1] = -1, but lower[1] = 0'
+    'z[1] = -1 is beyond its bound 0'
     >>> check_solution(LCP([[2, 1], [1, 2]], [-5, 1]), [2.5, 0], None)
     ''
     """
@@ -692,7 +694,13 @@ def check_solution(
     at_start = max(exact_residuals(problem, problem.nearest_to_zero), default=0)
     allowed = Fraction(tolerance) * max(1, at_start) if math.isfinite(tolerance) else math.inf
     if problem.n and max(residuals) > allowed:
-        return _violated_condition(problem, z, w, residuals.index(max(residuals)), allowed)
+        i = residuals.index(max(residuals))
+        low, high = float(problem.lower[i]), float(problem.upper[i])
+        value = min(max(low, float(z[i])), high)
+        value = value if abs(value - z[i]) <= allowed else float(z[i])  # nearly at a bound
+        return pair_text(
+            Names([*map("w[{}]".format, range(problem.n))]), i, value, float(w[i]), low, high
+        )
     if truth is None or not math.isfinite(error_tolerance) or is_exact_solution(problem, z):
         return ""
     pairs = zip(z.tolist(), truth, strict=True)
@@ -701,21 +709,6 @@ def check_solution(
     if distance <= Fraction(error_tolerance) * size or not analyze(problem.M).is_p_matrix:
         return ""
     return f"z is far from the exact answer: by {float(distance):g}, though its residual is small"
-
-
-def _violated_condition(problem: LCP, z: Vector, w: list[Fraction], i: int, allowed: object) -> str:
-    """Return the name of the condition that row i violates; a z within `allowed` of a bound is at it."""
-    low, high, value = problem.lower[i], problem.upper[i], z[i]
-    sides = (("lower", low, value - low), ("upper", high, high - value))
-    for name, bound, gap in sides:
-        if -gap > allowed:
-            return f"z is outside its bounds: z[{i}] = {value:g}, but {name}[{i}] = {bound:g}"
-    for name, bound, gap in sides:
-        if gap <= allowed:
-            place = f"z[{i}] = {value:g} is at its {name} bound {bound:g}"
-            return f"w has the wrong sign: w[{i}] = {float(w[i]):g}, but {place}"
-    place = f"z[{i}] = {value:g} lies between its bounds"
-    return f"z is not complementary: w[{i}] = {float(w[i]):g}, but {place}"
 
 
 def _shown(problem: LCP, truth: ExactPoint | None, z: Vector) -> str:

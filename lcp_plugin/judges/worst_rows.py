@@ -89,13 +89,13 @@ def worst_pairs(
     order = np.lexsort((-violation, -least))[:count]
     columns = [x[order].tolist() for x in (least, violation, terms, z, w, lower, upper)]
     return WorstRows(
-        WorstRow(names.row(i), residual, missed, size, _sides(names, i, *pair))
+        WorstRow(names.row(i), residual, missed, size, pair_text(names, i, *pair))
         for i, residual, missed, size, *pair in zip(order.tolist(), *columns, strict=True)
         if residual > tolerance
     )
 
 
-def _sides(names: Names, i: int, z: float, w: float, lower: float, upper: float) -> str:
+def pair_text(names: Names, i: int, z: float, w: float, lower: float, upper: float) -> str:
     """Return both sides of a pair with their values: the row, and the unknown next to the bound that it is off."""
     row, unknown = names.pair(i)
     if not math.isfinite(w):

@@ -10,8 +10,7 @@ from numpy.typing import ArrayLike
 
 from .core.checks import AnyMatrix
 from .core.errors import InvalidOption
-from .core.files import checked_path
-from .core.files import save as save_problem
+from .core.files import checked_path, save_lcp
 from .core.lcp import LCP
 from .interfaces.nl.writing import write_nl
 from .interfaces.program_files import load_lcp
@@ -40,7 +39,7 @@ def save(problem: LCP, path: str | PathLike[str]) -> None:
     if target.suffix.lower() == ".nl":
         write_nl(problem, target)
     else:
-        save_problem(problem, target)
+        save_lcp(problem, target)
 
 
 def from_qp(

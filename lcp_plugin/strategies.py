@@ -50,7 +50,7 @@ except ImportError:
         "lcp_plugin.strategies needs hypothesis; install it with: pip install hypothesis (or lcp_plugin[test])"
     ) from None
 
-from .core.checks import AnyMatrix, Vector, checked_vector, is_number
+from .core.checks import AnyMatrix, FloatMatrix, Vector, checked_vector, is_number
 from .core.errors import InvalidOption, InvalidProblem
 from .core.lcp import LCP
 from .core.names import Names
@@ -81,7 +81,6 @@ LARGEST_SIZE = 8  # rows: all active sets can be enumerated
 Sizes = int | st.SearchStrategy[int] | None
 Matrices = st.SearchStrategy[Any] | None
 Numbers = st.SearchStrategy[Any]
-Matrix = NDArray[np.float64]
 
 
 def sizes(size: Sizes, smallest: int = 0) -> st.SearchStrategy[int]:
@@ -135,14 +134,14 @@ def orders(n: int) -> st.SearchStrategy[NDArray[np.intp]]:
 
 
 @lru_cache(maxsize=1000)
-def blocks(height: int, width: int, values: Numbers) -> st.SearchStrategy[Matrix]:
+def blocks(height: int, width: int, values: Numbers) -> st.SearchStrategy[FloatMatrix]:
     """Return a strategy for arrays of shape (height, width)."""
     entries = st.tuples(*[values] * (height * width))
     return entries.map(lambda drawn: np.array(drawn, dtype=np.float64).reshape(height, width))
 
 
 # of a size, and of numbers of the requested density
-Build = Callable[[st.DrawFn, int, Numbers], Matrix]
+Build = Callable[[st.DrawFn, int, Numbers], FloatMatrix]
 
 
 def matrix_strategy(build: Build) -> Callable[..., st.SearchStrategy[Any]]:
@@ -158,7 +157,7 @@ def matrix_strategy(build: Build) -> Callable[..., st.SearchStrategy[Any]]:
 
 
 @matrix_strategy
-def positive_definite_matrices(draw: st.DrawFn, n: int, values: Numbers) -> Matrix:
+def positive_definite_matrices(draw: st.DrawFn, n: int, values: Numbers) -> FloatMatrix:
     """Return a strategy for positive definite matrices, xᵀM x > 0 for x ≠ 0; usually they are not H₊-matrices.
 
     Parameters
@@ -195,7 +194,7 @@ def positive_definite_matrices(draw: st.DrawFn, n: int, values: Numbers) -> Matr
 
 
 @matrix_strategy
-def positive_semidefinite_matrices(draw: st.DrawFn, n: int, values: Numbers) -> Matrix:
+def positive_semidefinite_matrices(draw: st.DrawFn, n: int, values: Numbers) -> FloatMatrix:
     """Return a strategy for symmetric positive semidefinite matrices of every rank from 0 to their size.
 
     Parameters
@@ -221,7 +220,7 @@ def positive_semidefinite_matrices(draw: st.DrawFn, n: int, values: Numbers) -> 
 
 
 @matrix_strategy
-def h_plus_matrices(draw: st.DrawFn, n: int, values: Numbers) -> Matrix:
+def h_plus_matrices(draw: st.DrawFn, n: int, values: Numbers) -> FloatMatrix:
     """Return a strategy for H₊-matrices: positive diagonal, and ⟨M⟩v > 0 for some v > 0.
 
     Parameters
@@ -244,7 +243,7 @@ def h_plus_matrices(draw: st.DrawFn, n: int, values: Numbers) -> Matrix:
 
 
 @matrix_strategy
-def strictly_dominant_matrices(draw: st.DrawFn, n: int, values: Numbers) -> Matrix:
+def strictly_dominant_matrices(draw: st.DrawFn, n: int, values: Numbers) -> FloatMatrix:
     """Return a strategy for matrices with m_ii > Σ_j≠i |m_ij| in every row.
 
     Parameters
@@ -265,7 +264,7 @@ def strictly_dominant_matrices(draw: st.DrawFn, n: int, values: Numbers) -> Matr
 
 
 @matrix_strategy
-def p_matrices(draw: st.DrawFn, n: int, values: Numbers) -> Matrix:
+def p_matrices(draw: st.DrawFn, n: int, values: Numbers) -> FloatMatrix:
     """Return a strategy for P-matrices, all principal minors positive: exactly one solution for every q and all bounds.
 
     Parameters
@@ -300,14 +299,14 @@ def p_matrices(draw: st.DrawFn, n: int, values: Numbers) -> Matrix:
     return A[np.ix_(order, order)]
 
 
-def _definite(draw: st.DrawFn, n: int, values: Numbers) -> Matrix:
+def _definite(draw: st.DrawFn, n: int, values: Numbers) -> FloatMatrix:
     """Return B Bᵀ + E: symmetric positive definite."""
     E = np.diag(draw(vectors(n, POSITIVE)))
     B = draw(blocks(n, n, values))
     return np.asarray(B @ B.T + E)
 
 
-def _by_row_sums(draw: st.DrawFn, n: int, values: Numbers) -> Matrix:
+def _by_row_sums(draw: st.DrawFn, n: int, values: Numbers) -> FloatMatrix:
     """Return a matrix whose diagonal entries exceed the sums of the others' sizes by integers from 1 to 9."""
     surplus = draw(vectors(n, POSITIVE))
     A = draw(blocks(n, n, values))
@@ -316,7 +315,7 @@ def _by_row_sums(draw: st.DrawFn, n: int, values: Numbers) -> Matrix:
     return A
 
 
-def _h_plus(draw: st.DrawFn, n: int, values: Numbers) -> Matrix:
+def _h_plus(draw: st.DrawFn, n: int, values: Numbers) -> FloatMatrix:
     return np.asarray(_by_row_sums(draw, n, values) * draw(vectors(n, UNITS)))
 
 

@@ -21,8 +21,8 @@ from ..core.settings import Settings, parse_options, whole_number
 if TYPE_CHECKING:
     from ..interfaces.nl.reading import NLContent
 
-NAME = "lcp-plugin-ampl"
-VARIABLE = "lcp_plugin_options"
+TOOL = "lcp-plugin-ampl"
+OPTIONS_VARIABLE = "lcp_plugin_options"
 EXIT_BAD_INPUT, EXIT_INTERRUPTED = 2, 130
 FAILURE, INTERRUPTED = 500, 402
 KEYWORDS = {
@@ -40,17 +40,17 @@ KEYWORDS = {
 }
 LEVELS = ("outlev", "prove", "timing", "version", "wantsol")
 MARK = "* not for an objective next to complementarities, whose nodes and gap are SCIP's or our own"
-USAGE = f"""usage: {NAME} stub [-AMPL] [<keyword>=<value> or <keyword> <value> ...]
+USAGE = f"""usage: {TOOL} stub [-AMPL] [<keyword>=<value> or <keyword> <value> ...]
 
 Reads the model stub.nl and writes stub.sol; without -AMPL the message is printed as well. Assignments are on the
-command line or in the environment variable {VARIABLE}. -v prints the version, -= the keywords. Values of the
+command line or in the environment variable {OPTIONS_VARIABLE}. -v prints the version, -= the keywords. Values of the
 variables: lcp-plugin solve stub.nl"""
 
 
 def run() -> None:
     """Entry point of the command."""
     replace_unknown_letters()
-    sys.exit(main(sys.argv[1:], os.environ.get(VARIABLE, "")))
+    sys.exit(main(sys.argv[1:], os.environ.get(OPTIONS_VARIABLE, "")))
 
 
 def replace_unknown_letters() -> None:
@@ -74,18 +74,18 @@ def main(words: list[str], environment: str = "") -> int:
         if (information := _information(words)) is not None:
             print(information)
             return 0
-        return _solve(words, environment)
+        return _solve_stub(words, environment)
     except LCPError as error:
         message = str(error)
     except MemoryError as error:
         message = f"not enough memory ({error})"
     except KeyboardInterrupt:
-        print(f"{NAME}: interrupted", file=sys.stderr)
+        print(f"{TOOL}: interrupted", file=sys.stderr)
         return EXIT_INTERRUPTED
     except BrokenPipeError:  # the reader of the message has gone
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
         return 0
-    print(f"{NAME}: {' '.join(message.split())}", file=sys.stderr)
+    print(f"{TOOL}: {' '.join(message.split())}", file=sys.stderr)
     return EXIT_BAD_INPUT
 
 
@@ -117,11 +117,11 @@ def assigned(text: str) -> dict[str, Any]:
     return values
 
 
-def _solve(words: list[str], environment: str) -> int:
+def _solve_stub(words: list[str], environment: str) -> int:
     """Solve the stub and write the .sol file."""
     stub, *arguments = words
     if stub.startswith("-") or "=" in stub:
-        raise InvalidOption(f"no stub is given; call {NAME} stub -AMPL, where stub.nl is the model")
+        raise InvalidOption(f"no stub is given; call {TOOL} stub -AMPL, where stub.nl is the model")
     is_ampl = bool(arguments) and arguments[0] == "-AMPL"
     settings = assigned(environment) | assigned(" ".join(arguments[is_ampl:]))
     levels = {k: whole_number(settings.pop(k, 0), k, 0, f", {KEYWORDS[k]}") for k in LEVELS}

@@ -175,8 +175,8 @@ def solve(
         prove_infeasibility=prove_infeasibility,
         threads=threads,
     )
-    options = solving.options_of(option or [])
-    return solving.run(target, algorithm, options, settings, plot, out, as_json=json)
+    options = solving.parsed_options(option or [])
+    return solving.solve_target(target, algorithm, options, settings, plot, out, as_json=json)
 
 
 @command("analyze", "0 done, 2 bad input", "analyze paper_example_1")

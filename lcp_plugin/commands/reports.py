@@ -13,7 +13,7 @@ from ..algorithms import REGISTRY, algorithm_class, paper_options
 from ..core.lcp import LCP
 from ..engines import ENGINES, engine_class
 from ..evidence.measurement import PAPER_MSOR
-from ..problems.cones.methods import METHODS
+from ..problems.cones.methods import CONE_METHODS
 from ..proofs.verdicts import analyze, wrapped
 from ..solving.explanation import convergence_guarantee
 
@@ -64,7 +64,7 @@ def print_names() -> None:
     heads = ("name", "needs", "proved to converge on", "an iteration costs")
     lists: dict[str, dict[str, Any]] = {
         "Algorithms": {name: algorithm_class(name) for name in REGISTRY},
-        "Algorithms over cones, and for contact with friction": {**METHODS},
+        "Algorithms over cones, and for contact with friction": {**CONE_METHODS},
     }
     for title, algorithms in lists.items():
         facts = attrgetter("needs", "solves", "cost")

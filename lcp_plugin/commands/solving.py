@@ -32,14 +32,14 @@ from ..interfaces.nl.model import read_nl
 from ..interfaces.program_files import MPS, load_problem, load_program
 from ..problems.cones.data import ConeProblem
 from ..problems.cones.frictional_contact import FrictionalContact
-from ..problems.cones.methods import METHODS
+from ..problems.cones.methods import CONE_METHODS
 
 if TYPE_CHECKING:
     from ..core.checks import Vector
     from ..solving.result import Sample
 
 #: Numbers of results, residuals first; each class of result has some of them.
-NUMBERS = (
+RESULT_NUMBERS = (
     "relative_residual natural_residual euclidean_residual bound_violation complementarity term_residual "
     "primal_residual duality_gap optimality objective lower_bound gap programs work tolerance "
     "absolute_tolerance setup_seconds seconds"
@@ -47,7 +47,7 @@ NUMBERS = (
 UPDATE_SECONDS = 0.1  # between two updates of the line of progress
 
 
-class Target(NamedTuple):
+class Source(NamedTuple):
     """A problem and the facts that its source supplies.
 
     Attributes
@@ -64,7 +64,7 @@ class Target(NamedTuple):
     names: Any = None
 
 
-def read_target(target: str) -> Target:
+def read_target(target: str) -> Source:
     """Return the problem of a file or a test problem.
 
     Raises
@@ -77,21 +77,21 @@ def read_target(target: str) -> Target:
     name = name.strip().replace("-", "_")
     if name in gallery.names():
         scene = gallery.parse(f"{name}:{settings}")
-        return Target(scene.problem, scene)
+        return Source(scene.problem, scene)
     path = Path(target)
     if not (set(target) & set("/\\.") or path.exists()):
         hint = did_you_mean(name, gallery.names(), is_listed=True)
         raise InvalidOption(f"{target!r} is neither a file nor a test problem{hint}")
     if path.suffix.lower() in MPS:
         program = load_program(target)
-        return Target(program, names=program.names.unknowns)
+        return Source(program, names=program.names.unknowns)
     if path.suffix.lower() == ".nl":
         model = read_nl(target)
-        return Target(model, names=model.names())
-    return Target(load_problem(target))
+        return Source(model, names=model.names())
+    return Source(load_problem(target))
 
 
-def read_lcp(target: str, way: str) -> Target:
+def read_lcp(target: str, way: str) -> Source:
     """Return the LCP of a file or a test problem, or raise InvalidOption for another class of problem."""
     source = read_target(target)
     problem = getattr(source.problem, "problem", source.problem)  # of an .nl file
@@ -100,7 +100,7 @@ def read_lcp(target: str, way: str) -> Target:
     return source._replace(problem=problem)
 
 
-def run(
+def solve_target(
     target: str,
     algorithm: str,
     options: dict[str, Any],
@@ -121,7 +121,7 @@ def run(
         arrays = {} if x is None else {"x": x, "duals": solution.duals}
         objective = solution.objective
     else:
-        answer = _solved(source, algorithm, options, settings)
+        answer = _watched(source, algorithm, options, settings)
         x, lines = answer.x, _certificate_lines(source, answer)
         arrays = _arrays(answer)
         objective = answer.objective
@@ -152,7 +152,7 @@ def json_content(answer: Any) -> dict[str, Any]:
     """Return status, residuals and counts of a result, without vectors."""
     owners = [answer, getattr(answer, "certificate", None)]
     owners += [] if answer.has_no_solution else [getattr(answer, "solution", None)]
-    named = ((name, owner) for owner in owners for name in NUMBERS.split())
+    named = ((name, owner) for owner in owners for name in RESULT_NUMBERS.split())
     numbers = {name: getattr(owner, name) for name, owner in named if hasattr(owner, name)}
     return {
         "status": answer.status.name,
@@ -164,13 +164,13 @@ def json_content(answer: Any) -> dict[str, Any]:
     }
 
 
-def _solved(source: Target, method: str, options: dict[str, Any], settings: dict[str, Any]) -> Any:
+def _watched(source: Source, method: str, options: dict[str, Any], settings: dict[str, Any]) -> Any:
     """Return the result of the problem from the start of its test problem, with progress on a terminal."""
     problem, scene = source.problem, source.test_problem
     start = {} if scene is None or scene.start is None else {"z0": scene.start}
     chosen: Any = method
-    if isinstance(problem, ConeProblem | FrictionalContact) and method in METHODS:
-        chosen, options = made(METHODS[method], method, options), {}
+    if isinstance(problem, ConeProblem | FrictionalContact) and method in CONE_METHODS:
+        chosen, options = made(CONE_METHODS[method], method, options), {}
     options = options | settings
     with progress_on_terminal() as show:
         if show is not None and isinstance(problem, LCP):
@@ -200,7 +200,7 @@ def progress_on_terminal() -> Iterator[Callable[[Sample, Vector], bool] | None]:
         yield show
 
 
-def _certificate_lines(source: Target, answer: Any) -> list[str]:
+def _certificate_lines(source: Source, answer: Any) -> list[str]:
     """Return lines with the residuals of an LCP, and the errors against a known solution."""
     scene = source.test_problem
     lines = str(answer.certificate).splitlines() if isinstance(source.problem, LCP) else []
@@ -223,7 +223,7 @@ def _arrays(answer: object) -> dict[str, Any]:
     return {name: array for name, array in arrays.items() if array is not None}
 
 
-def _values(source: Target, answer: Any, x: Vector) -> list[str]:
+def _values(source: Source, answer: Any, x: Vector) -> list[str]:
     """Return the first values by their names."""
     if x is None or answer.has_no_solution:
         return []
@@ -238,7 +238,7 @@ def _values(source: Target, answer: Any, x: Vector) -> list[str]:
 # --- Options --------------------------------------------------------------------------------------------------
 
 
-def options_of(pairs: list[str]) -> dict[str, Any]:
+def parsed_options(pairs: list[str]) -> dict[str, Any]:
     """Return the options of the algorithm."""
     options = parse_options(pairs)
     for key in options.keys() & {"problem", "algorithm", *OF_SOLVE}:
@@ -280,7 +280,7 @@ def compile_everything() -> str:
     steps.vjp(np.ones(sparse.n))
     steps.jvp(dz0=np.ones(sparse.n))
     contact = FrictionalContact(2.0 * np.eye(6), [[-1.0, 3.0, 4.0], [-1.0, 0.1, 0.2]], 0.5)
-    for name in ("auto", *METHODS):
+    for name in ("auto", *CONE_METHODS):
         lcp_plugin.derivative(solve(contact, name)).vjp(np.ones(6))
     batch_derivative = lcp_plugin.derivative(lcp_plugin.solve_batch([dense]))
     batch_derivative.vjp(np.ones((1, 9)))

@@ -13,14 +13,15 @@ import numpy as np
 import scipy.sparse as sp
 from numpy.typing import ArrayLike, NDArray
 
-from .errors import InvalidOption, InvalidProblem, did_you_mean
+from .errors import Decorated, InvalidOption, InvalidProblem, did_you_mean
 
 Vector = NDArray[np.float64]
 Array = Any  # of numpy, of a stack of problems, or of JAX
 AnyMatrix = Any  # ndarray or CSR array, for which scipy has no types
 T = TypeVar("T")
-Method = TypeVar("Method", bound=Callable[..., Any])
 BoolVector = NDArray[np.bool_]
+FloatMatrix = NDArray[np.float64]
+Indices = NDArray[np.intp]
 Arrays = tuple[NDArray[Any], NDArray[Any], Vector]  # of a sparse matrix: indptr, indices, data
 
 DOUBLE = np.dtype(np.float64)
@@ -339,7 +340,7 @@ def change_of_vector(
     return checked_vector(values, name, n)
 
 
-def changes_by_name(jvp: Method) -> Method:
+def changes_by_name(jvp: Decorated) -> Decorated:
     """Decorate a method whose arguments are changes by name: other arguments raise InvalidOption."""
     known = [*(jvp.__kwdefaults__ or {})]
 

@@ -10,7 +10,7 @@ from functools import wraps
 from importlib import import_module
 from typing import Any, TypeVar
 
-Function = TypeVar("Function", bound=Callable[..., Any])
+Decorated = TypeVar("Decorated", bound=Callable[..., Any])
 
 LONG_LIST = 20  # names or values: of a longer list only some are printed, or none next to a guess
 
@@ -27,7 +27,7 @@ class InvalidOption(LCPError, TypeError):
     """An option does not exist, or its value cannot be used."""
 
 
-def public(function: Function, name: str = "") -> Function:
+def public(function: Decorated, name: str = "") -> Decorated:
     """Decorate a function: a call with other arguments raises InvalidOption, with the call that is possible."""
     name = name or function.__qualname__.removesuffix(".__init__")
 

@@ -20,8 +20,8 @@ from .lcp import LCP
 
 NUMBERS = ("real", "double", "integer", "unsigned-integer")
 SYMMETRIES = ("general", "symmetric", "skew-symmetric")
-NUMBER = rb"[-+]?(?:\d+\.?\d*|\.\d+)(?:e[-+]?\d+)?|[-+]?inf|nan"
-NO_NUMBER = re.compile(rb"(?im)^(?!%)(?:(?:" + NUMBER + rb")(?:[ \t\r]+|$)|[ \t\r]+)*+(\S+)")
+NUMBER_TEXT = rb"[-+]?(?:\d+\.?\d*|\.\d+)(?:e[-+]?\d+)?|[-+]?inf|nan"
+NO_NUMBER = re.compile(rb"(?im)^(?!%)(?:(?:" + NUMBER_TEXT + rb")(?:[ \t\r]+|$)|[ \t\r]+)*+(\S+)")
 
 
 def read_number(word: bytes | str, number_type: type = float) -> Any:
@@ -120,7 +120,7 @@ PARTS = {key: "M" for key in MATRIX_KEYS} | {f"{M}_{key}": M for M in "PAG" for 
 LARGE_UNPACKED = 2**30  # bytes
 
 
-def save(problem: LCP, path: str | PathLike[str]) -> None:
+def save_lcp(problem: LCP, path: str | PathLike[str]) -> None:
     """Write the problem to a ``.npz`` file."""
     M = {name: getattr(problem.csr, name) for name in MATRIX_KEYS}
     save_arrays(path, M | {name: getattr(problem, name) for name in LCP.vector_names}, "an LCP")

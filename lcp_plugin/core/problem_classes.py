@@ -45,7 +45,7 @@ class ProblemClass(NamedTuple):
     batch: str = "[problem]"
 
 
-CONES = ProblemClass(
+CONE_CLASS = ProblemClass(
     "problems.cones.solving:solve_cones",
     "march derivative certify",
     f"{WATCHED} absolute_tolerance prove_infeasibility",
@@ -81,8 +81,8 @@ CLASSES = {
         verdict="problems.least_squares.solving:verdict_at",
         batch="problem, B",
     ),
-    "ConeProblem": CONES,
-    "FrictionalContact": CONES._replace(functions=f"prepare {CONES.functions}"),
+    "ConeProblem": CONE_CLASS,
+    "FrictionalContact": CONE_CLASS._replace(functions=f"prepare {CONE_CLASS.functions}"),
 }
 
 

@@ -20,6 +20,8 @@ from .checks import AnyMatrix, Array, Vector
 from .errors import InvalidProblem
 from .kernels.floats import MAY_UNDERFLOW, TINY, UNIT
 
+# error of a computed number relative to its terms: two that differ by less are equal, a smaller one counts as 0
+ROUNDING = 1e-12
 ENTRIES_TOGETHER = 2**15  # entries whose temporary vectors stay in a processor's cache
 Sums = tuple[Vector, Vector, Vector]
 

@@ -24,7 +24,7 @@ from .errors import InvalidOption
 from .kernels.threads import usable_threads
 
 CONSTANTS = {"true": "True", "false": "False", "none": "None", "inf": "1e999"}
-NOTHING = 2.0**-200  # a tolerance instead of 0
+ZERO_TOLERANCE = 2.0**-200  # a tolerance instead of 0
 
 
 class Status(Enum):
@@ -116,7 +116,7 @@ class Settings:
     @property
     def goal(self) -> float:
         """Required ratio of residual to reference."""
-        return float(self.tolerance or (NOTHING if self.absolute_tolerance else 0.0))
+        return float(self.tolerance or (ZERO_TOLERANCE if self.absolute_tolerance else 0.0))
 
 
 DEFAULTS = {setting.name: setting.default for setting in fields(Settings)}

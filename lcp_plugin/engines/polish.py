@@ -24,13 +24,13 @@ from ..core.entries import largest_in_rows, or_one
 from ..core.rounding import compensated_product
 from .engine import EnginePoint, ProgramData
 
-ROUNDS = 2  # over both shifts
+POLISH_STEPS = 2  # over both shifts
 # With 2⁻⁵⁰, rounding errors left a gap of 4e-5 in an optimal control problem of 18 009 unknowns; with 2⁻⁴², 5e-7.
-SHIFTS = 2.0**-26, 2.0**-42  # δ relative to the largest entry of its row
+POLISH_SHIFTS = 2.0**-26, 2.0**-42  # δ relative to the largest entry of its row
 
 
 def polish_steps(
-    program: ProgramData, point: EnginePoint, rounds: int = ROUNDS
+    program: ProgramData, point: EnginePoint, rounds: int = POLISH_STEPS
 ) -> Iterator[EnginePoint]:
     """Yield the point after Newton's step on min(multiplier, slack) = 0, and again with a smaller δ.
 
@@ -71,7 +71,7 @@ def polish_steps(
         active = np.flatnonzero(is_active)
         x, y = np.where(at_lower, lower, np.where(at_upper, upper, x)), np.where(is_active, y, 0.0)
         blocks = program.P[free][:, free], rows[active][:, free]
-        for shift in SHIFTS:
+        for shift in POLISH_SHIFTS:
             if (solve := shifted_solver(*blocks, shift)) is None:
                 return
             for steps_left in reversed(range(15)):  # steps with one factorization

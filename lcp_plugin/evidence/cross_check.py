@@ -43,13 +43,13 @@ from ..solving.dispatch import solve
 from ..solving.result import Result
 from ..systems.definiteness import factorized, symmetric_part
 
-Verdict = Literal["agree", "mismatch", "not comparable"]
+Agreement = Literal["agree", "mismatch", "not comparable"]
 
 PLAIN, GAP = "quadratic program", "gap quadratic program"
 ACCURATE_TOLERANCE = 1e-7  # of our criterion, for a point to be compared
 POLISH_ROUNDS = 3  # rounds of a polish for the points of first-order methods
 CLARABEL_OPTIONS = dict.fromkeys(("tol_gap_abs", "tol_gap_rel", "tol_feas"), 1e-11)
-LIMITS = dict.fromkeys(("CLARABEL", "HIGHS", "OSQP"), "time_limit") | {"SCS": "time_limit_secs"}
+LIMITED = dict.fromkeys(("CLARABEL", "HIGHS", "OSQP"), "time_limit") | {"SCS": "time_limit_secs"}
 
 
 @dataclass(frozen=True, eq=False)
@@ -80,7 +80,7 @@ class CrossCheck:
         δᵀAδ / (‖Aδ‖ + ‖δ‖), and the bound on it by both residuals with their rounding.
     """
 
-    verdict: Verdict
+    verdict: Agreement
     reason: str
     reference: str
     formulation: str
@@ -102,10 +102,10 @@ class CrossCheck:
     def explain(self) -> str:
         """Return the verdict with its reason, and a line for each number."""
         lines = [f"{self.verdict}: {self.reason}", f"{'formulation':<18} {self.formulation}"]
-        lines += [_side("ours", self.ours, self.seconds)]
+        lines += [_measures("ours", self.ours, self.seconds)]
         if self.theirs is not None:
             lines += [
-                _side(self.reference, self.theirs, self.reference_seconds),
+                _measures(self.reference, self.theirs, self.reference_seconds),
                 f"{'|Δz|, |Δw|':<18} {self.difference_z:.3e}, {self.difference_w:.3e}",
                 f"{'objective gap':<18} {self.objective_gap:.3e}",
                 f"{'disagreement':<18} {self.disagreement:.3e}; the residuals explain {self.allowance:.3e}",
@@ -181,7 +181,7 @@ def cross_validate(
     check = partial(CrossCheck, reference=name, ours=ours, seconds=seconds)
     if not convex.kind:
         outcome = "false" if is_false else "consistent with our residual"
-        verdict: Verdict = "mismatch" if is_false else "not comparable"
+        verdict: Agreement = "mismatch" if is_false else "not comparable"
         reason = f"no convex program to compare with; our status {status} is {outcome}"
         return check(verdict, reason, formulation=convex.evidence)
     check = partial(check, formulation=f"{convex.kind} ({convex.evidence})")
@@ -216,7 +216,7 @@ def cross_validate(
     return check("agree", "the residuals and the conditioning of M explain every difference")
 
 
-def _side(name: str, side: Certificate, seconds: float) -> str:
+def _measures(name: str, side: Certificate, seconds: float) -> str:
     natural = f"natural residual {side.natural_residual:.3e}"
     return f"{name:<18} relative residual {side.relative_residual:.3e}, {natural}, {seconds:.3g} s"
 
@@ -299,7 +299,7 @@ class ConvexForm:
             rows = [scaled.M @ y + scaled.q == a - b]
         # Without assume_PSD cvxpy makes the matrix dense to check it.
         curved = cp.quad_form(y, symmetric_part(scaled.csr), assume_PSD=True)
-        limit = {LIMITS[name]: max_seconds} if name in LIMITS else {}
+        limit = {LIMITED[name]: max_seconds} if name in LIMITED else {}
         program = cp.Problem(cp.Minimize(share * curved + cost), rows)
         try:
             program.solve(solver=name, **limit | options)

@@ -46,7 +46,7 @@ MARKERS = "osD^v<>phX*P"
 DASHES = ("-", "--", "-.", ":")
 JOURNAL = {"font.size": 8.0, "axes.titlesize": 8.5}
 COLUMN_WIDTH, PAGE_WIDTH = 3.5, 7.1  # width of a journal's column, and of its page
-ACTIVE, FREE = "#D55E00", "#0072B2"
+ACTIVE, FREE_COLOR = "#D55E00", "#0072B2"
 LABELS = ("layer", "row", "column")
 PANEL_INCHES = (4.9, 4.4)
 
@@ -62,7 +62,7 @@ def check_format(path: Path) -> None:
         raise InvalidOption(f"a picture must end in {', '.join(FORMATS)}, got {path.name!r}")
 
 
-def save(figure: Any, path: Path) -> None:
+def save_figure(figure: Any, path: Path) -> None:
     """Write the figure, whole or not at all; the format has been checked."""
     kind = path.suffix[1:].lower()
     with styled():  # matplotlib chooses the font when it writes the file
@@ -187,7 +187,7 @@ def draw(answer: BaseResult, path: Path, test_problem: Scene | None = None) -> N
     """
     check_format(path)
     frame = _frame(answer, None) if test_problem is None else test_problem
-    save(_plotted(answer, frame, None, require_matplotlib()).figure, path)
+    save_figure(_plotted(answer, frame, None, require_matplotlib()).figure, path)
 
 
 def _frame(answer: Any, shape: Any) -> Frame:
@@ -243,7 +243,7 @@ def _plotted(answer: BaseResult, frame: Frame, axes: Axes, new: Callable[..., An
     return all_axes[0]
 
 
-def _bounds(answer: object) -> tuple[Vector, Vector]:
+def _drawn_bounds(answer: object) -> tuple[Vector, Vector]:
     holder: Any = answer.certificate if isinstance(answer, Result) else answer
     problem: Any = getattr(holder, "problem", holder)
     problem = getattr(problem, "program", problem)
@@ -253,7 +253,7 @@ def _bounds(answer: object) -> tuple[Vector, Vector]:
 def _draw_unknowns(axes: Axes, answer: Any, frame: Frame) -> None:
     from matplotlib.ticker import MaxNLocator
 
-    x, (lower, upper) = np.asarray(answer.x), _bounds(answer)
+    x, (lower, upper) = np.asarray(answer.x), _drawn_bounds(answer)
     active = (x <= lower) | (x >= upper)
     grid = frame.grid
     if grid is not None and len(grid) > 1 and min(grid[-2:]) > 1:
@@ -262,7 +262,7 @@ def _draw_unknowns(axes: Axes, answer: Any, frame: Frame) -> None:
             level = contact_level(answer.certificate)
         _draw_map(axes, x.reshape(grid), active.reshape(grid), level.reshape(grid), frame)
         return
-    for rows, color in ((~active, FREE), (active, ACTIVE)):
+    for rows, color in ((~active, FREE_COLOR), (active, ACTIVE)):
         axes.plot(np.flatnonzero(rows), x[rows], ".", color=color, markersize=4.0, rasterized=True)
     if active.any():
         axes.set_title(f"orange: {frame.active_means}", color=ACTIVE, fontsize=8.5)
@@ -351,7 +351,7 @@ def _draw_cones(axes: Axes, answer: Any, frame: Frame) -> None:
         axes.plot(np.cos(angle), np.sin(angle), color="#7A7A7A", linewidth=1.0)
         axes.set(aspect="equal", ylim=(-1.1, 1.45))  # the legend is above the circle
     slides = motion.touches & ~motion.sticks
-    states = ((motion.sticks, "o", "stick", FREE), (slides, "^", "slide", ACTIVE))
+    states = ((motion.sticks, "o", "stick", FREE_COLOR), (slides, "^", "slide", ACTIVE))
     for chosen, marker, word, color in states:
         label = f"{np.count_nonzero(chosen)} {word}"
         axes.scatter(*shares[chosen].T, s=12.0, color=color, marker=marker, label=label)
@@ -369,7 +369,7 @@ def _draw_residuals(axes: Axes, result: BaseResult) -> None:
     residuals = np.array([sample.residual for sample in samples])
     # A residual of 0 is drawn at a tenth of the least number on its logarithmic axis
     edge = 0.1 * min([*residuals[residuals > 0.0], result.tolerance or 1.0])
-    axes.semilogy(seconds, np.maximum(residuals, edge), ".-", markersize=4, color=FREE)
+    axes.semilogy(seconds, np.maximum(residuals, edge), ".-", markersize=4, color=FREE_COLOR)
     if result.tolerance > 0.0:
         draw_tolerance(axes, result.tolerance)
     axes.set(xlabel="seconds", ylabel="relative residual", title="residual against time")

@@ -136,7 +136,7 @@ def fresh(problem: LCP) -> LCP:
     return LCP(problem.M, problem.q, lower=problem.lower, upper=problem.upper)
 
 
-def run(
+def track(
     scene: Scene, algorithm: object, measure: Measure, paper_tolerance: float = 0.0, **limits: Any
 ) -> tuple[Result, list[tuple[float, ...]]]:
     """Return a result and its samples (iteration, work, seconds, error, residual) at geometric intervals.
@@ -183,8 +183,8 @@ def measure_method(
     """
     solve(fresh(scene.problem), method.algorithm, z0=scene.start, max_iterations=3)
     limits |= {"polish": False}
-    result, first = run(scene, method.algorithm, measure, **limits)
-    repeated = [run(scene, method.algorithm, _unmeasured, **limits)[1] for _ in range(1, repeats)]
+    result, first = track(scene, method.algorithm, measure, **limits)
+    repeated = [track(scene, method.algorithm, _unmeasured, **limits)[1] for _ in range(1, repeats)]
     times = [{(s[0], s is part[-1]): s[2] for s in part} for part in (first, *repeated)]
     points = []
     for place, sample in zip(times[0], first, strict=True):
@@ -199,7 +199,7 @@ def measure_polish(
     scene: Scene, method: Method, measure: Measure, **limits: Any
 ) -> tuple[str, Vector] | None:
     """Return the status and the point of a run that ends with a polish; None if it makes none."""
-    result, _ = run(scene, method.algorithm, _unmeasured, **limits)
+    result, _ = track(scene, method.algorithm, _unmeasured, **limits)
     if not result.is_polished:
         return None
     point = (result.iterations, result.work, *[result.seconds] * 3, *measure(result.z))
@@ -242,7 +242,7 @@ def _error_bound(scene: Scene, max_seconds: float) -> tuple[Callable[[Vector], f
         error_bound(problem, problem.nearest_to_zero, sharp=False)
     except UnsuitableMatrix as failure:
         return None, f"no bound of the error: {failure}"
-    result, _ = run(scene, "auto", _unmeasured, max_seconds=max_seconds)
+    result, _ = track(scene, "auto", _unmeasured, max_seconds=max_seconds)
     known = error_bound(problem, result.z)
     least, size = known.infinity, max_norm(result.z)
     if (near := known.near) is not None:

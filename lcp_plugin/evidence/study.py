@@ -29,7 +29,7 @@ from ..gallery import parse
 from ..gallery.scene import SIZES, Scene, defaults_of
 from . import measurement
 from .cross_check import PLAIN, ConvexForm, solver_name
-from .drawing import check_format, draw_curve, draw_tolerance, look_of, panels, save
+from .drawing import check_format, draw_curve, draw_tolerance, look_of, panels, save_figure
 from .measurement import RESIDUAL, Measurement, Method
 
 PACKAGES = ("numpy", "scipy", "numba", "cvxpy")
@@ -200,7 +200,7 @@ class Study:
         """
         place = checked_path(path)
         check_format(place)
-        save(self.plot(against), place)
+        save_figure(self.plot(against), place)
 
     def explain(self) -> str:
         """Return a line per row, below each problem, then the notes and the machine."""
@@ -416,7 +416,7 @@ def _measurements(
         measurement.fresh(scene.problem)
     except Exception as error:  # a function of the user may raise anything
         for method in methods:
-            yield _row(blank, method, "REFUSED", note=_line(error))
+            yield _entry(blank, method, "REFUSED", note=_note(error))
         return
     kind, measure, reason = measurement.error_measure(scene, limits["max_seconds"])
     blank = replace(blank, n=scene.n, nonzeros=scene.problem.nonzeros, error_kind=kind)
@@ -425,15 +425,15 @@ def _measurements(
     for method in methods:
         try:
             status, points = measurement.measure_method(scene, method, measure, repeats, **limits)
-            yield _row(blank, method, status, points, method.note)
+            yield _entry(blank, method, status, points, method.note)
             if not has_polish or status not in ENDED:
                 continue
             if (polish := measurement.measure_polish(scene, method, measure, **limits)) is not None:
-                yield _row(blank, Method(f"{method.label}, polished", "", "polish"), *polish)
+                yield _entry(blank, Method(f"{method.label}, polished", "", "polish"), *polish)
         except (UnsuitableMatrix, UnsuitableProblem) as error:
-            yield _row(blank, method, "REFUSED", note=str(error))
+            yield _entry(blank, method, "REFUSED", note=str(error))
         except Exception as error:  # an algorithm of the user may raise anything
-            yield _row(blank, method, "ERROR", note=_line(error))
+            yield _entry(blank, method, "ERROR", note=_note(error))
     if not references:
         return
     convex = ConvexForm.of(scene.problem)
@@ -446,17 +446,17 @@ def _measurements(
         if z is not None:
             status = outcome.upper()
             points = np.array([(math.nan, math.nan, *[seconds] * 3, *measure(z))])
-        yield _row(blank, method, status, points, outcome)
+        yield _entry(blank, method, status, points, outcome)
 
 
-def _row(
+def _entry(
     blank: Measurement, method: Method, status: str, points: Vector = NO_POINTS, note: str = ""
 ) -> Measurement:
     label, family = method.label, method.family
     return replace(blank, method=label, family=family, status=status, points=points, note=note)
 
 
-def _line(error: BaseException) -> str:
+def _note(error: BaseException) -> str:
     words = " ".join(str(error).split())
     return words if isinstance(error, LCPError) else f"{type(error).__name__}: {words}"
 

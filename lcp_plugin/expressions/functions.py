@@ -46,7 +46,7 @@ def _log_of_quotient(u: Array, v: Array) -> Any:
     return np.where(is_normal, np.log(quotient), np.log(u) - np.log(v))
 
 
-def _relative_entropy(u: Array, v: Array) -> Any:
+def _entropy(u: Array, v: Array) -> Any:
     return np.where((u == 0.0) & (v >= 0.0), 0.0, u * _log_of_quotient(u, v))
 
 
@@ -65,7 +65,7 @@ EXP = Function("exp", 1, np.exp, lambda u: (np.exp(u),))
 LOG = Function("log", 1, np.log, lambda u: (1.0 / u,))
 LOG1P = Function("log1p", 1, np.log1p, lambda u: (1.0 / (1.0 + u),))
 RELATIVE_ENTROPY = Function(
-    "relative entropy", 2, _relative_entropy, lambda u, v: (1.0 + _log_of_quotient(u, v), -(u / v))
+    "relative entropy", 2, _entropy, lambda u, v: (1.0 + _log_of_quotient(u, v), -(u / v))
 )
 LOG_ADD_EXP = Function("log add exp", 2, np.logaddexp, _log_add_exp_slopes)
 PRODUCT = Function("product", 2, lambda u, v: u * v, lambda u, v: (v, u))

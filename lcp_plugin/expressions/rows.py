@@ -23,12 +23,11 @@ import numpy as np
 import scipy.sparse as sp
 from numpy.typing import NDArray
 
-from ..core.checks import Vector
+from ..core.checks import Indices, Vector
 from ..core.entries import row_numbers
 from . import functions
 from .functions import Function
 
-Indices: TypeAlias = NDArray[np.int64]
 Shape: TypeAlias = tuple[int, ...]
 #: The derivative by one source; a number c stands for c times the identity.
 Block: TypeAlias = float | sp.csr_array

@@ -222,7 +222,7 @@ def _five_point(
     **facts: Any,
 ) -> Scene:
     """Return the test problem of a five-point matrix plus delta I whose solution and slack are chosen."""
-    side = _side(exact.size)
+    side = _root(exact.size)
     M = five_point_matrix(side, 4.0 + delta, legs)
     facts |= {"grid": (side, side), "axis_labels": ("row", "column")}
     return Scene(problem=LCP(M, slack - M @ exact), exact=exact, **facts)
@@ -247,7 +247,7 @@ def half_active(*, n: int = 10_000, delta: float = 4.0, degenerate: bool = True)
     then q = w* − M z*. The paper's examples have no active constraint and so do not test
     complementarity: an iteration for the linear system alone would solve them.
     """
-    row, column = np.divmod(np.arange(n), _side(n))
+    row, column = np.divmod(np.arange(n), _root(n))
     block = 5  # side of the squares of the checkerboard
     is_active = (row // block + column // block) % 2 == 1
     values = np.resize([1.0, 2.0], n)
@@ -258,7 +258,7 @@ def half_active(*, n: int = 10_000, delta: float = 4.0, degenerate: bool = True)
     return _five_point(delta, exact, slack)
 
 
-def _side(n: int) -> int:
+def _root(n: int) -> int:
     """Return √n, or raise InvalidOption."""
     side = math.isqrt(n)
     require(side**2 == n, f"n must be a perfect square, got {n}")

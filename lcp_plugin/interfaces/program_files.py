@@ -26,14 +26,14 @@ from ..problems.programs.program import QuadraticProgram
 from .nl.model import lcp_in_nl
 
 Lines = list[list[str]]  # the words of each line
-Entries = dict[tuple[int, int], float]
+Cells = dict[tuple[int, int], float]
 Read = tuple[float, Names, list[str], Any]
 WITH_WORDS = ("NAME", "OBJSENSE", "QSECTION")  # headers that other words may follow
 SECTIONS = (*WITH_WORDS, "ROWS", "COLUMNS", "RHS", "RANGES", "BOUNDS", "QUADOBJ", "QMATRIX")
 FIELDS = ((1, 3), (4, 12), (14, 22), (24, 36), (39, 47), (49, 61))
 MARKED = "columns between markers of integers"
 INTEGER = ("BV", "LI", "UI", "SC")
-BOUNDS = ("LO", "UP", "FX", "FR", "MI", "PL", *INTEGER)
+BOUND_TYPES = ("LO", "UP", "FX", "FR", "MI", "PL", *INTEGER)
 
 
 class NumberOf(dict[str, int]):
@@ -87,19 +87,19 @@ def read_mps(source: Path, remarks: list[str]) -> Read:
     integers = [words[0] for words in sections[MARKED]]
     entries = _entries(sections, "COLUMNS", rows, columns)
     right, ranges = (_entries(sections, section, rows) for section in ("RHS", "RANGES"))
-    lower, upper = _bounds(sections["BOUNDS"], columns, integers)
+    lower, upper = _limits(sections["BOUNDS"], columns, integers)
     products = [_entries(sections, name, columns, columns) for name in ("QUADOBJ", "QMATRIX")]
     n, m, sign = len(columns), len(rows), -1.0 if sense[-1] == "MAX" else 1.0
-    A = _matrix(entries, (n, m)).T.tocsr()
-    triangle, whole = (_matrix(part, (n, n)) for part in products)
+    A = _sparse(entries, (n, m)).T.tocsr()
+    triangle, whole = (_sparse(part, (n, n)) for part in products)
     P = sign * (triangle + triangle.T - sp.diags_array(triangle.diagonal()) + whole)
-    b, width = _row(right, 0.0, m), _row(ranges, np.nan, m)
+    b, width = _full_row(right, 0.0, m), _full_row(ranges, np.nan, m)
     reach = np.where(np.isnan(width), np.inf, np.abs(width))
     # An equation has an interval on the side of its range's sign
     span = np.select([row_types == "L", row_types == "G"], [-reach, reach], np.nan_to_num(width))
     low, high = b + np.minimum(span, 0.0), b + np.maximum(span, 0.0)
     first, is_row = np.flatnonzero(row_types == "N")[:1], row_types != "N"
-    limits = low[is_row], high[is_row], _row(lower, 0.0, n), _row(upper, np.inf, n)
+    limits = low[is_row], high[is_row], _full_row(lower, 0.0, n), _full_row(upper, np.inf, n)
     c, constant = sign * A[first].sum(axis=0), 0.0 - sign * b[first].sum()
     both = Names([name for name, k in rows.items() if is_row[k]], [*columns])
     return sign, both, [*dict.fromkeys(integers)], (P, c, A[is_row], *limits, constant)
@@ -149,9 +149,9 @@ def _number_in(text: str, words: list[str], section: str) -> float:
 
 def _entries(
     sections: dict[str, Lines], section: str, names: NumberOf, columns: NumberOf | None = None
-) -> Entries:
+) -> Cells:
     """Return the values by the number of a line's column, 0 if there is none, and of the name before the value."""
-    entries: Entries = {}
+    entries: Cells = {}
     kept, repeated = "first" if columns is not names else "sum", ""
     for words in sections[section]:
         start = len(words) % 2 if columns is None else 1
@@ -172,16 +172,16 @@ def _entries(
     return entries
 
 
-def _bounds(lines: Lines, columns: NumberOf, integers: list[str]) -> tuple[Entries, Entries]:
+def _limits(lines: Lines, columns: NumberOf, integers: list[str]) -> tuple[Cells, Cells]:
     """Return the lower and upper bounds; the last of several bounds of a variable holds.
 
     The lower bound is −∞ for a negative upper bound without a lower bound.
     """
-    lower, upper = Entries(), Entries()
+    lower, upper = Cells(), Cells()
     for words in lines:
         kind, value = words[0].upper(), np.inf
-        if kind not in BOUNDS or len(words) < 2:
-            fault = f'"{" ".join(words)}" in BOUNDS begins with none of {", ".join(BOUNDS)}'
+        if kind not in BOUND_TYPES or len(words) < 2:
+            fault = f'"{" ".join(words)}" in BOUNDS begins with none of {", ".join(BOUND_TYPES)}'
             raise InvalidProblem(fault)
         if kind in ("FR", "MI", "PL", "BV"):  # perhaps with a number
             name = next((word for word in words[:0:-1] if word in columns), words[-1])
@@ -202,19 +202,18 @@ def _bounds(lines: Lines, columns: NumberOf, integers: list[str]) -> tuple[Entri
     return lower, upper
 
 
-def _matrix(entries: Entries, shape: tuple[int, int]) -> sp.csr_array:
+def _sparse(entries: Cells, shape: tuple[int, int]) -> sp.csr_array:
     places = np.array(list(entries), dtype=np.int64).reshape(-1, 2).T
     return sp.csr_array((list(entries.values()), tuple(places)), shape=shape)
 
 
-def _row(entries: Entries, default: float, size: int) -> Any:
+def _full_row(entries: Cells, default: float, size: int) -> Any:
     values = np.full(size, default)
     values[[j for _, j in entries]] = list(entries.values())
     return values
 
 
 ARRAYS, MPS, MARKET, NL = ".npz", (".mps", ".qps", ".lp"), ".mtx", ".nl"
-Arrays = dict[str, Any]
 
 
 # --- Contacts of fclib, the field's own collection: HDF5, read by h5py ----------------------------------------------
@@ -305,7 +304,7 @@ def _contacts(source: Path, name: str, group: Any) -> FrictionalContact:
 # --- The classes and their arrays --------------------------------------------------------------------------------
 
 
-def _lcp(M: AnyMatrix, q: Array, **bounds: Array) -> LCP:
+def _built_lcp(M: AnyMatrix, q: Array, **bounds: Array) -> LCP:
     # Before M becomes CSR, which takes memory for every row that a sparse matrix announces.
     if sp.issparse(M) and q.shape != M.shape[:1]:
         raise InvalidProblem(f"q must be a finite vector of length {M.shape[0]}, got {q.shape}")
@@ -332,7 +331,7 @@ def _cones(M: AnyMatrix, q: Array, cone_kinds: Any, cone_rows: Any, **ends: Arra
     return ConeProblem(M, q, cones)
 
 
-def _program(c: Any, P: Any = None, l: Any = None, u: Any = None, **data: Any) -> QuadraticProgram:
+def _qp(c: Any, P: Any = None, l: Any = None, u: Any = None, **data: Any) -> QuadraticProgram:
     P = sp.csr_array((c.size, c.size)) if P is None else _symmetric(P)
     if l is None and u is None:
         return QuadraticProgram(P, c, **data)
@@ -353,7 +352,7 @@ def _symmetric(P: AnyMatrix) -> Any:
     return P
 
 
-def _named(words: str) -> dict[str, tuple[str, ...]]:
+def _aliases(words: str) -> dict[str, tuple[str, ...]]:
     """Return the names that an argument may have in a file: "c=c,q r" for c by the names c and q, and r."""
     pairs = (word.partition("=") for word in words.split())
     return {argument: tuple((names or argument).split(",")) for argument, _, names in pairs}
@@ -377,36 +376,36 @@ OF_LCP = (
     'ub): numpy.savez("p.npz", M=M, q=q)'
 )
 LAYOUTS: dict[type, Layout] = {
-    LCP: Layout(_lcp, _named("M q lower=lower,lb,l upper=upper,ub,u"), ("M", "q"), OF_LCP),
+    LCP: Layout(_built_lcp, _aliases("M q lower=lower,lb,l upper=upper,ub,u"), ("M", "q"), OF_LCP),
     FrictionalContact: Layout(
         _contact,
-        _named("W=W,M b=b,q friction=mu,friction contacts dimension equations"),
+        _aliases("W=W,M b=b,q friction=mu,friction contacts dimension equations"),
         ("W", "b", "friction"),
         "a FrictionalContact holds W (or the CSR arrays data, indices, indptr, shape), b (or q), mu (or friction); "
         "a batch has an axis in front, and contacts if its instances differ in size",
     ),
     ConeProblem: Layout(
         _cones,
-        _named("M q cone_kinds cone_rows lower upper"),
+        _aliases("M q cone_kinds cone_rows lower upper"),
         ("M", "q", "cone_kinds", "cone_rows"),
         "a ConeProblem holds M (or its CSR arrays data, indices, indptr, shape), q, cone_kinds (0 free, 1 nonnegative, "
         "2 box, 3 second order), cone_rows, and lower, upper if there are boxes",
     ),
     QuadraticProgram: Layout(
-        _program,
-        _named("P c=c,q A l u G h b lower=lower,lb upper=upper,ub constant=r"),
+        _qp,
+        _aliases("P c=c,q A l u G h b lower=lower,lb upper=upper,ub constant=r"),
         ("c",),
         OF_PROGRAM,
     ),
     BoundedLeastSquares: Layout(
         BoundedLeastSquares,
-        _named("A b lower=lower,lb upper=upper,ub weights ridge l1"),
+        _aliases("A b lower=lower,lb upper=upper,ub weights ridge l1"),
         ("A", "b"),
         "a least squares problem holds A, b and, if wanted, lower and upper",
     ),
 }
 #: Arguments that may be one number, of all rows.
-NUMBERS = {"lower", "upper", "l", "u", "l1", "ridge", "constant", "dimension", "equations"}
+SCALARS = {"lower", "upper", "l", "u", "l1", "ridge", "constant", "dimension", "equations"}
 
 
 def class_of_file(source: Path) -> type:
@@ -433,7 +432,7 @@ def class_of_file(source: Path) -> type:
 def _built(source: Path, problem_class: type, arrays: Mapping[str, Any]) -> Any:
     """Return the problem of the arrays of a file."""
     build, names, needed, text = LAYOUTS[problem_class]
-    content: Arrays = {}
+    content: dict[str, Any] = {}
     for argument, choices in names.items():
         present = [name for name in choices if name in arrays]
         if len(present) > 1:
@@ -442,7 +441,7 @@ def _built(source: Path, problem_class: type, arrays: Mapping[str, Any]) -> Any:
             )
         if present:
             array = arrays[present[0]]
-            content[argument] = array.item() if argument in NUMBERS and array.size == 1 else array
+            content[argument] = array.item() if argument in SCALARS and array.size == 1 else array
     if missing := [names[argument][0] for argument in needed if argument not in content]:
         raise UnreadableFile(f"{source} lacks the keys {missing}; {text}")
     return _stated(source, problem_class, lambda: build(**content))

@@ -34,10 +34,10 @@ from .nl.reading import NLContent, number_tree, read_content
 
 KINDS = "Block Constraint Expression ExternalFunction Objective Param RangeSet Set Suffix Var"
 KNOWN = {Complementarity, Port} | {getattr(core, kind) for kind in KINDS.split()}
-INTEGERS = "apply gdp.bigm or gdp.hull and a solver for integers, or state the cases as pairs"
+AS_PAIRS = "apply gdp.bigm or gdp.hull and a solver for integers, or state the cases as pairs"
 INSTEAD = {
-    **dict.fromkeys(("Disjunct", "Disjunction", "SOSConstraint", "LogicalConstraint"), INTEGERS),
-    "BooleanVar": INTEGERS,
+    **dict.fromkeys(("Disjunct", "Disjunction", "SOSConstraint", "LogicalConstraint"), AS_PAIRS),
+    "BooleanVar": AS_PAIRS,
     "Arc": "expand it: TransformationFactory('network.expand_arcs')",
     "DerivativeVar": "discretise it, TransformationFactory('dae.collocation'), and add complementarities afterwards",
 }
@@ -106,7 +106,7 @@ def sides_of(stated: Any) -> list[PairSide]:
     """
     if getattr(stated, "_args", None) is None:
         raise UnsupportedModel(f"{stated.name} has no sides; write complements(x >= 0, F >= 0)")
-    sides = [_side(argument, stated) for argument in stated._args]
+    sides = [_to_side(argument, stated) for argument in stated._args]
     equations, bounds = [side.is_equation for side in sides], [side.bounds for side in sides]
     if any(equations):
         if bounds[equations.index(True) - 1]:
@@ -122,7 +122,7 @@ def sides_of(stated: Any) -> list[PairSide]:
     return sides
 
 
-def _side(argument: object, stated: Any) -> PairSide:
+def _to_side(argument: object, stated: Any) -> PairSide:
     if argument is None or isinstance(argument, (bool, str)):
         raise UnsupportedModel(f"a side of {stated.name} is {argument!r}; write an expression")
     if np.any(getattr(argument, "_strict", False)):

@@ -27,7 +27,6 @@ not an error: ``help("lcp_plugin.proofs")``.
 
 from __future__ import annotations
 
-import math
 from dataclasses import dataclass
 from functools import cached_property
 from typing import Any, ClassVar, NamedTuple
@@ -38,7 +37,15 @@ from ..core.checks import AnyMatrix, BoolVector, Vector
 from ..core.entries import clip, entries_of_rows, largest_products, max_norm
 from ..core.kernels import floats
 from ..core.kernels.compilation import kernel
-from ..core.kernels.floats import EPSILON, NEGLIGIBLE, NEGLIGIBLE_DIAGONAL, NORMAL, SMALLEST, TINY
+from ..core.kernels.floats import (
+    EPSILON,
+    INF,
+    NEGLIGIBLE,
+    NEGLIGIBLE_DIAGONAL,
+    NORMAL,
+    SMALLEST,
+    TINY,
+)
 from ..core.lcp import LCP
 from ..core.matrix import Matrix, fact
 from ..core.names import Names
@@ -47,14 +54,13 @@ from ..core.structure import connected_components
 from ..core.sweep_data import BLOCK
 
 VectorEnds = tuple[Vector, Vector]  # lower and upper bounds
-POWER = 0.75  # of the tolerance, next to the terms of a row
+ROW_POWER = 0.75  # of the tolerance, next to the terms of a row
 DEMAND_POWER = 0.25  # of the tolerance, next to the demand a_i of a row
 NEAREST = 8.0 * EPSILON  # of the terms of a row: rounding of them explains such a slack
 IDLE_ROUNDING = 2.0**-104  # ε², of the reference: no residual of an idle row is measured finer
 RAN_AWAY = 2.0**20  # times the reference: the terms of a larger z are not explained by the data
 GAINED = 0.1  # of the reference: a larger residual is not limited by rounding
 SET_TO_BOUND = 2.0**-50  # of the largest z: a smaller distance from a bound is at rounding level
-INF = math.inf
 CERTAIN = 0.99  # of the upper bound of a residual: a lower bound as large needs no sharper sums
 
 
@@ -282,8 +288,8 @@ class RowData:
 
     def rows(self, z: Vector, w: Any = None) -> RowsAtPoint:
         """Return the values of all rows at z, with its slack w if that is known."""
-        w = times(self.M, z) + self.q if w is None else w
-        products = times(self.absolute, np.abs(z))
+        w = matvec(self.M, z) + self.q if w is None else w
+        products = matvec(self.absolute, np.abs(z))
         terms = np.minimum(products + np.abs(self.q), floats.LARGEST)
         bound = (self._counts + 6) * (EPSILON * terms + TINY)
         rounding = np.where(products > 0.0, bound, 0.0)  # NaN stays
@@ -343,7 +349,7 @@ class RowData:
 
     def estimate(self, z: Vector) -> float:
         """Return the relative residual of z as computed in double precision, of components that z° does not solve."""
-        w = times(self.M, z) + self.q
+        w = matvec(self.M, z) + self.q
         residual = np.where(np.isinf(w), np.inf, np.abs(self.residual(z, w)))
         if self.labels is None:
             residual = residual.max(-1, keepdims=True, initial=0.0)
@@ -353,7 +359,7 @@ class RowData:
     def snap(self, z: Vector) -> tuple[Vector, Vector | None]:
         """Return z, moved to near bounds, or to z° in components that it solves; and its slack if it did not move."""
         z = np.where(self.is_solved_at_origin, self.origin, z)
-        w = times(self.M, z) + self.q
+        w = matvec(self.M, z) + self.q
         moved = self.snap_to_bounds(z, w)
         return moved, None if self.anywhere(moved != z) else w
 
@@ -457,7 +463,7 @@ class RowData:
         if not self.anywhere(is_open):
             return np.zeros(violation.shape)
         demand = self.demand
-        least = (violation / at.terms) ** (1.0 / POWER)
+        least = (violation / at.terms) ** (1.0 / ROW_POWER)
         of_demand = np.where(demand > 0.0, (violation / demand) ** (1.0 / DEMAND_POWER), 0.0)
         least = np.where(is_open, np.maximum(least, of_demand), 0.0)
         return np.where(np.isfinite(least), least, np.inf)
@@ -468,7 +474,7 @@ class RowData:
         return rounding / (self.scale if scale is None else scale)
 
 
-def times(M: AnyMatrix, x: Vector) -> Vector:
+def matvec(M: AnyMatrix, x: Vector) -> Vector:
     """Return M x for one problem, or for each problem of a stack, which may share one M."""
     if x.ndim == 1:
         product: Vector = M @ x
@@ -585,7 +591,7 @@ def bound_residual(data: RowData, z: Vector, tolerance: float) -> float:
     is_right &= (first > 0.0) | (top(np.abs(z - origin)) == 0.0)
     is_right &= (1.001 * largest <= 0.5 * tolerance * reference) & (terms < np.inf)
     if not np.logical_and.reduce(is_right):
-        return math.inf
+        return INF
     bounds = np.where(largest > 0.0, 1.001 * largest / reference, 0.0)
     return float(np.maximum.reduce(bounds, axis=None, initial=0.0))
 

@@ -45,16 +45,13 @@ from typing import Any, NamedTuple
 
 import numpy as np
 import scipy.sparse as sp
-from numpy.typing import NDArray
 
-from ..core.checks import AnyMatrix, Array, Vector
+from ..core.checks import AnyMatrix, Array, Indices, Vector
 from ..core.entries import clip, entries_of_rows, largest_in_rows, largest_products
 from ..core.kernels.compilation import helper, kernel
-from ..core.kernels.floats import DATA_ROUNDING, NEGLIGIBLE, UNIT
+from ..core.kernels.floats import DATA_ROUNDING, INF, NEGLIGIBLE, UNIT
 from ..core.rounding import compensated_product
 from ..core.structure import components_of_links
-
-Indices = NDArray[np.intp]
 
 PROGRAM_TOLERANCE = 1e-6  # of the gap, by default
 ROWS = 1e-9  # of the rows, at every tolerance
@@ -67,7 +64,6 @@ MOVES = 1000.0  # times its size, an unknown without a bound is moved
 SMALLEST_SIZE = 2.0**-900  # of the gap: if all terms are 0, gradients are relative to their terms
 SHARP = 32.0 * MOVES * UNIT  # per unknown and row: below this gap, plain sums show no error
 NO_POLISH = 4.0 * SHARP  # per unknown and row: daqp ends at 1 to 3.5 SHARP
-INF = float("inf")
 LEAST_PRICE = 2.0**-1000  # quotients by it are finite
 
 

@@ -16,6 +16,7 @@ from ..core.deadline import require_seconds, seconds_left
 from ..core.entries import largest_in_rows, max_norm, row_numbers, unbounded, with_entries
 from ..core.lcp import LCP
 from ..core.matrix import Matrix, fact
+from ..core.rounding import ROUNDING
 from ..core.structure import equation_signs, is_nearly_symmetric
 from ..core.tuning import DENSE_OPERATIONS, FULL_CHOLESKY_UP_TO, SPARSE_OPERATIONS
 from ..engines import installed_engine
@@ -27,7 +28,6 @@ from .lemke.pivoting_path import is_game
 from .newton import classify, is_near, signature, solve_active_set
 from .small import bimatrix_players
 
-SAME = 1e-12  # entries that differ by less, relatively, are equal up to rounding
 PIQP_STEPS = 60  # of PIQP: 10 to 30 if M is monotone by more than rounding
 
 
@@ -316,9 +316,9 @@ def skew_border(matrix: Matrix) -> tuple[Vector, Vector]:
     M = matrix.csr
     rows, ratios = row_numbers(M), np.abs(mirrored) / np.abs(M.data)
     most, inverse = largest_in_rows(M, np.stack([ratios, 1.0 / ratios]))
-    is_border = (np.abs(most * inverse - 1.0) <= SAME) & (np.abs(most - 1.0) > SAME)
+    is_border = (np.abs(most * inverse - 1.0) <= ROUNDING) & (np.abs(most - 1.0) > ROUNDING)
     units = np.where(is_border, most, 1.0)
-    if (np.abs(units[rows] - units[M.indices] * ratios) > 10.0 * SAME * units[rows]).any():
+    if (np.abs(units[rows] - units[M.indices] * ratios) > 10.0 * ROUNDING * units[rows]).any():
         return none
     return units, np.where(is_border[rows], np.copysign(mirrored, M.data), M.data)
 
@@ -341,7 +341,7 @@ def signs_of(matrix: Matrix) -> Vector | None:
     if (mirrored := _entries_across(matrix)) is None:
         return None
     M, n = matrix.csr, matrix.n
-    size, rows, columns = SAME * np.abs(M.data), row_numbers(M).astype(np.int64), M.indices
+    size, rows, columns = ROUNDING * np.abs(M.data), row_numbers(M).astype(np.int64), M.indices
     is_same = np.abs(M.data - mirrored) <= size
     if not (is_same | (np.abs(M.data + mirrored) <= size)).all():
         return None

@@ -28,19 +28,19 @@ from ..core.algorithm import Algorithm, Step
 from ..core.checks import AnyMatrix, Array, BoolVector, Vector, read_only
 from ..core.entries import clip, residual_scales, unbounded
 from ..core.kernels.compilation import kernel
-from ..core.kernels.floats import FREE, HIGH, LOW, SMALLEST
-from ..core.kernels.small_lcps import INF, LOST, follow_paths, solve_active_sets
+from ..core.kernels.floats import FREE, HIGH, INF, LOW, SMALLEST
+from ..core.kernels.small_lcps import LOST, follow_paths, solve_active_sets
 from ..core.lcp import LCP
 from ..core.matrix import fact
 from ..core.settings import Settings
 from ..core.structure import equation_signs
 from ..judges import lcp as judge
-from ..judges.lcp import Measured, RowData, bound_residual, bound_residuals, row_data, times
+from ..judges.lcp import Measured, RowData, bound_residual, bound_residuals, matvec, row_data
 from .banded import banded_passes
 
 GUESSED = "small: a few sweeps guess the active set"
 SMALL_DENSE, SMALL_SPARSE = 256, 128  # unknowns
-RELAXATION, SWEEPS = 1.7, 2  # of NPSOR
+RELAXATION, START_SWEEPS = 1.7, 2  # of NPSOR
 ROUNDS, IDLE = 12, 2  # most active-set iterations; most of them in a row without fewer changes
 FOLLOW_IN_PYTHON = follow_paths.function
 LOOP_FROM, LOOP_UP_TO = 32, 128  # problems, unknowns; fewer problems do not wait for a compilation
@@ -195,7 +195,7 @@ def solve_stack(
             side = _ends_of_paths(A, b, low, high)
         else:
             scale = residual_scales(A.diagonal(axis1=-2, axis2=-1), np.abs(A).max(-1, initial=0.0))
-            step = (times(A, z[items]) + b) / scale
+            step = (matvec(A, z[items]) + b) / scale
             side = np.where(step > z[items] - low, LOW, FREE + (step < z[items] - high))
         x, bound = _bounded_points(A, b, low, high, begin, side, tolerance)
         z[items], residual[items], is_solved[items] = x, bound, bound < np.inf
@@ -377,7 +377,7 @@ def guess(data: RowData) -> Vector | None:
             return None
     z: Vector = data.origin
     pivot, half = 1.0 / RELAXATION + 3.0, z.size // 2
-    for _ in range(SWEEPS):
+    for _ in range(START_SWEEPS):
         step = (data.M @ z + data.q) / data.scale
         change = clip(step, z - data.upper, z - data.lower) * (2.0 / pivot)
         new = clip(z - change, data.lower, data.upper)

@@ -17,14 +17,13 @@ import numpy as np
 
 from ..core.checks import INFINITE_LIMIT, MAX_CROSSING, Array, check_kind, real_array
 from ..core.errors import InvalidProblem, public
-from ..core.kernels.floats import FREE, HIGH, LOW, NEGLIGIBLE_DIAGONAL, SMALLEST_PIVOT
+from ..core.kernels.floats import FREE, HIGH, INF, LOW, NEGLIGIBLE_DIAGONAL, SMALLEST_PIVOT
 from ..core.settings import checked_tolerance
-from ..judges.lcp import DEMAND_POWER, POWER
+from ..judges.lcp import DEMAND_POWER, ROW_POWER
 from .small import LOOP_UP_TO, tilts
 
-INF = jnp.inf
 # By bytes of a number; single precision shows no smaller residual of 30 unknowns
-TOLERANCES = {8: 1e-8, 4: 1e-3}
+DEFAULT_TOLERANCES = {8: 1e-8, 4: 1e-3}
 
 
 class _Path(NamedTuple):
@@ -272,7 +271,7 @@ def _accepted(
     counts = _largest(part, jnp.where(is_free, at.terms / scale, 0.0))[0]
     limit = jnp.minimum(first, jnp.maximum(counts, at.terms / scale))
     residual = jnp.where(high > 0.0, high / limit, 0.0)
-    allowed = 0.5 * jnp.minimum(tolerance**POWER * at.terms, tolerance**DEMAND_POWER * demand)
+    allowed = 0.5 * jnp.minimum(tolerance**ROW_POWER * at.terms, tolerance**DEMAND_POWER * demand)
     is_small = scale * high <= allowed
     if q.dtype == np.float64:
         is_small |= violation <= 2.0**-43 * at.terms
@@ -338,12 +337,12 @@ def _solve_mapped_stack(size: int, are_mapped: Array, *data: Array) -> Any:
 
 
 @jax.custom_jvp  # type: ignore[untyped-decorator]
-def _solution(M: Array, q: Array, lower: Array, upper: Array, tolerance: Array) -> Any:
+def _solved(M: Array, q: Array, lower: Array, upper: Array, tolerance: Array) -> Any:
     """Return the results of `solve_stack`, as a function with derivatives."""
     return solve_stack(M, q, lower, upper, tolerance)
 
 
-@_solution.defjvp  # type: ignore[untyped-decorator]
+@_solved.defjvp  # type: ignore[untyped-decorator]
 def _change_of_solution(data: Array, changes: Array) -> Any:
     """Return the solutions and their changes: rows strictly between bounds keep w = 0, others follow their bounds.
 
@@ -352,7 +351,7 @@ def _change_of_solution(data: Array, changes: Array) -> Any:
     """
     M, q, lower, upper, _ = data
     dM, dq, dlower, dupper, _ = changes
-    z, path, residual = _solution(*data)
+    z, path, residual = _solved(*data)
     is_solved = (residual < INF)[:, None]
     M = jnp.where(is_solved[..., None], M, 0.0)
     identity, largest = jnp.eye(q.shape[1], dtype=q.dtype), abs(M).max(-1, keepdims=True)
@@ -428,12 +427,12 @@ def solve_lcp(
     if not isinstance(crosses, jax.core.Tracer) and crosses.any():
         raise InvalidProblem("lower exceeds upper; bounds must satisfy lower ≤ upper: swap them")
     axes, n, dtype = q.shape[:-1], q.shape[-1], q.dtype
-    tolerance = TOLERANCES[dtype.itemsize] if tolerance is None else tolerance
+    tolerance = DEFAULT_TOLERANCES[dtype.itemsize] if tolerance is None else tolerance
     if not isinstance(tolerance, jax.Array):
         checked_tolerance(tolerance, may_be_zero=False)
     count = math.prod(axes)
     vectors = (array.reshape(count, n) for array in (q, lower, upper))
-    z, _, residual = _solution(M.reshape(count, n, n), *vectors, tolerance)
+    z, _, residual = _solved(M.reshape(count, n, n), *vectors, tolerance)
     return z.reshape(*axes, n), (residual < INF).reshape(axes)
 
 

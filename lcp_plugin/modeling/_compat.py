@@ -37,7 +37,7 @@ from ..problems.statement import STATUS_ELSEWHERE
 
 LONGEST_NAME = 80  # characters of a constraint in a message
 # in a text of cvxpy: an array of numbers, or an end that is cut
-NUMBERS = re.compile(r"\[ *-?\d+\.|…$")
+PRINTED_NUMBER = re.compile(r"\[ *-?\d+\.|…$")
 # names of atoms that are private
 ATOMS = re.compile(r"(?:Promote|reshape)\((\w[\w.]*), \([\d, ]*\)(?:, F)?\)|(Power|Pnorm)Approx")
 WHOLE_SUM = re.compile(r"Sum\(([^(),]*), None, False\)")  # cvxpy's text of sum(x)
@@ -47,7 +47,7 @@ SUM = (AddExpression,)
 NEGATIVE = (NegExpression,)
 ELEMENTWISE = (multiply, DivExpression)
 DIVISION = (DivExpression,)
-PRODUCT = (MulExpression, DivExpression)
+PRODUCTS = (MulExpression, DivExpression)
 MATRIX_PRODUCT = (MulExpression,)
 ENTRY_SUM = (Sum,)
 BROADCAST = (Promote, cp.broadcast_to)
@@ -58,8 +58,8 @@ SELECTION = (index, special_index, Wrap)
 KEEP_SPARSE: tuple[Any, ...] = (*SUM, *NEGATIVE, *MATRIX_PRODUCT, *ENTRY_SUM, *SELECTION)
 
 #: Atoms whose every entry is an entry of an argument, or zero.
-MOVES = diag_mat, diag_vec, cp.reshape, Concatenate, cp.upper_tri, cp.real, cp.conj
-GATHERS = (*SELECTION, *BROADCAST, *TRANSPOSE, *STACKS, *MOVES)
+REORDERS = diag_mat, diag_vec, cp.reshape, Concatenate, cp.upper_tri, cp.real, cp.conj
+GATHERS = (*SELECTION, *BROADCAST, *TRANSPOSE, *STACKS, *REORDERS)
 EXTREMES = cp.max, cp.min, cp.maximum, cp.minimum, cp.norm_inf, cp.sum_largest
 NONSMOOTH = (*EXTREMES, cp.abs, cp.huber, cp.norm1, Pnorm)
 #: Atoms with a graph of inequalities, and the functions of (atom, arguments) that return value and inequalities.
@@ -161,7 +161,7 @@ def solver_errors() -> Iterator[None]:
 
 def entry_of(variable: cp.Variable, k: int) -> str:
     """Return the name of entry k of a variable, column by column: h[2]."""
-    return f"{variable.name()}{_place(variable, k, '[{}]') if variable.shape else ''}"
+    return f"{variable.name()}{_index(variable, k, '[{}]') if variable.shape else ''}"
 
 
 def row_of(stated: Any, k: int, constraint: Any = None, number: int | None = None) -> str:
@@ -174,12 +174,12 @@ def row_of(stated: Any, k: int, constraint: Any = None, number: int | None = Non
         return name_of_row(k)
     label = getattr(constraint, "label", None)
     name = label or name_of(stated)
-    if not label and number is not None and NUMBERS.search(name):
+    if not label and number is not None and PRINTED_NUMBER.search(name):
         name = f"{UNLABELED} {number} ({listed(variable.name() for variable in constraint.variables())})"
-    return name + (_place(stated, k, "[{}]" if label else ", entry {}") if stated.size > 1 else "")
+    return name + (_index(stated, k, "[{}]" if label else ", entry {}") if stated.size > 1 else "")
 
 
-def _place(stated: Any, k: int, form: str) -> str:
+def _index(stated: Any, k: int, form: str) -> str:
     return form.format(", ".join(map(str, np.unravel_index(k, stated.shape, order="F"))))
 
 

@@ -14,10 +14,10 @@ from cvxpy.atoms.affine.add_expr import AddExpression
 from cvxpy.atoms.elementwise.power import Power
 from cvxpy.constraints import Inequality
 
-from ..core.checks import Vector
+from ..core.checks import Indices, Vector
 from ..core.errors import UnsupportedModel
 from ..expressions import functions
-from ..expressions.rows import Indices, Rows, as_matrix, assembled, is_definition
+from ..expressions.rows import Rows, as_matrix, assembled, is_definition
 from . import _compat as compat
 from ._compat import EQUATIONS, by_columns, by_id, dense, name_of
 from .constraint import Complements, box
@@ -50,7 +50,7 @@ def _positive_power(u: Vector, p: float) -> Any:
 
 
 #: The atom of an elementary function, and its derivatives by its arguments; r is its value.
-FUNCTIONS: dict[str, tuple[Any, Any]] = {
+CVXPY_FUNCTIONS: dict[str, tuple[Any, Any]] = {
     functions.SAME.name: (lambda u: u, lambda r, u: [np.ones(u.shape)]),
     functions.EXP.name: (cp.exp, lambda r, u: [r]),
     functions.LOG.name: (cp.log, lambda r, u: [_positive_power(u, -1)]),
@@ -71,8 +71,8 @@ FUNCTIONS: dict[str, tuple[Any, Any]] = {
 
 def function_of(name: str) -> tuple[Any, Any]:
     """Return the atom and the derivatives of an elementary function."""
-    if name in FUNCTIONS:
-        return FUNCTIONS[name]
+    if name in CVXPY_FUNCTIONS:
+        return CVXPY_FUNCTIONS[name]
     p = float(name.removeprefix("power "))
     slope = _positive_power if p < 0.0 else cp.power
     return lambda u: cp.power(u, p), lambda r, u: [p * slope(u, p - 1)]

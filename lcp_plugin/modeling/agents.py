@@ -15,8 +15,9 @@ import numpy as np
 import scipy.sparse as sp
 from cvxpy.constraints.constraint import Constraint
 
+from ..core.checks import Indices
 from ..core.errors import InvalidOption, InvalidProblem, UnsupportedModel, warn
-from ..expressions.rows import Indices, as_matrix, is_definition
+from ..expressions.rows import as_matrix, is_definition
 from ..problems.programs.program import QuadraticProgram
 from . import _compat as atoms
 from ._compat import EQUATIONS, INEQUALITIES, by_id, dense_value, name_of, sense_of
@@ -276,7 +277,7 @@ def without_agents(constraints: Sequence[Any]) -> tuple[list[Any], list[Optimal]
     agents = [constraint for constraint in constraints if isinstance(constraint, Optimal)]
     others = [constraint for constraint in constraints if not isinstance(constraint, Optimal)]
     if any(agent.checked_for != agent.parameter_values() for agent in agents):
-        _check(agents, others)
+        _check_agents(agents, others)
     shared: set[int] = set()
     for agent in agents:
         others.append(agent.conditions.stationarity)
@@ -286,7 +287,7 @@ def without_agents(constraints: Sequence[Any]) -> tuple[list[Any], list[Optimal]
     return others, agents
 
 
-def _check(agents: Sequence[Optimal], others: Sequence[Any]) -> None:
+def _check_agents(agents: Sequence[Optimal], others: Sequence[Any]) -> None:
     """Raise UnsupportedModel, or issue a ModelWarning, for agents that do not fit together or are not convex."""
     check_different(entry for agent in agents for entry in agent.entries)
     programs = [agent.program for agent in agents]
@@ -388,7 +389,7 @@ class Convexity:
         if row.is_equation or held.is_convex():
             return bool(held.is_affine() or not row.is_equation)
         columns, quadratic = self.unknowns_of(entries), []
-        for factor, term in _terms(row.expression, 1.0):
+        for factor, term in _summands(row.expression, 1.0):
             if (hessians := self._hessians(term, row.expression.shape, columns)) is not None:
                 quadratic.append([factor * hessian for hessian in hessians])
             elif not (factor * rewritten(term, change)).is_convex():
@@ -430,16 +431,16 @@ class Convexity:
         return None if None in quadratics else [P[columns][:, columns] for P, *_ in quadratics]
 
 
-def _terms(node: cp.Expression, factor: float) -> Iterator[tuple[float, Any]]:
+def _summands(node: cp.Expression, factor: float) -> Iterator[tuple[float, Any]]:
     """Yield factors and terms, of which an expression is the sum."""
     if isinstance(node, atoms.SUM):
         for term in node.args:
-            yield from _terms(term, factor)
+            yield from _summands(term, factor)
     elif isinstance(node, atoms.NEGATIVE):
-        yield from _terms(node.args[0], -factor)
+        yield from _summands(node.args[0], -factor)
     elif isinstance(node, atoms.ENTRY_SUM) and node.shape == ():
-        yield from ((multiple, cp.sum(term)) for multiple, term in _terms(node.args[0], factor))
-    elif isinstance(node, atoms.PRODUCT) and node.args[0].is_constant() and node.args[0].size == 1:
-        yield from _terms(node.args[1], factor * float(dense_value(node.args[0].value)))
+        yield from ((multiple, cp.sum(term)) for multiple, term in _summands(node.args[0], factor))
+    elif isinstance(node, atoms.PRODUCTS) and node.args[0].is_constant() and node.args[0].size == 1:
+        yield from _summands(node.args[1], factor * float(dense_value(node.args[0].value)))
     else:
         yield factor, node

@@ -17,9 +17,11 @@ from cvxpy.constraints import NonNeg
 from cvxpy.error import SolverError
 from cvxpy.problems.problem import SolverStats
 
+from ..core.checks import Indices
+from ..core.deadline import SEARCH_SECONDS
 from ..core.errors import UnsupportedModel, warn
 from ..core.settings import Status
-from ..expressions.rows import Indices, Program
+from ..expressions.rows import Program
 from ..problems.equilibria.equilibrium_program import EquilibriumProgram
 from ..solving.dispatch import solve
 from . import _compat as compat
@@ -126,7 +128,6 @@ def _with_multipliers(program: EquilibriumProgram, model: Model, start: Any) -> 
     return program.with_slacks(start)
 
 
-MAX_SECONDS = 60.0  # of a search for an agent's best value
 MARGIN = 1e-8  # of the terms of a gradient, as the tolerance of a solve: less gains nothing
 
 
@@ -217,10 +218,10 @@ def _best_value(problem: cp.Problem) -> tuple[float, str]:
             for variable, value in before:
                 variable.save_value(value)
     if is_quadratic:
-        result: Any = solve(program.program, max_seconds=MAX_SECONDS)
+        result: Any = solve(program.program, max_seconds=SEARCH_SECONDS)
         value = result.objective
     else:
-        result = solve(program, max_seconds=MAX_SECONDS)
+        result = solve(program, max_seconds=SEARCH_SECONDS)
         value = result.value
         if result.status is Status.STALLED and np.isfinite(result.lower_bound):
             return result.lower_bound, ""  # the gain is not larger

@@ -17,7 +17,7 @@ from ..core.checks import fill
 from ..core.errors import InvalidProblem, UnsupportedModel
 from ..problems.cones.frictional_contact import dimension_of
 from ._compat import by_id
-from .model import Side, pair_residual, stacked
+from .model import Side, cone_expression, pair_residual
 
 REMEDY = 'solve it with problem.solve(method="LCP")'
 
@@ -115,7 +115,7 @@ def complements(first: object, second: object) -> Complements:
     >>> x.value.round(6)
     array([2.5, 0. ])
     """
-    sides = [_side(first, "first"), _side(second, "second")]
+    sides = [_checked_side(first, "first"), _checked_side(second, "second")]
     forms = {side.form for side in sides}
     if forms == {"zero"}:
         raise UnsupportedModel("complements got two equalities; write them as constraints")
@@ -142,7 +142,7 @@ def _require_cones(sides: list[Side]) -> None:
         )
 
 
-def _side(stated: object, which: str) -> Side:
+def _checked_side(stated: object, which: str) -> Side:
     if isinstance(stated, Side):
         return stated
     if isinstance(stated, Inequality):
@@ -152,7 +152,7 @@ def _side(stated: object, which: str) -> Side:
     if isinstance(stated, (Equality, Zero)):
         return Side(stated.expr, "zero", stated)
     if isinstance(stated, cp.SOC):
-        expression = stacked(stated)
+        expression = cone_expression(stated)
         return Side(expression, "cone", stated, rows=expression.shape[0])
     if isinstance(stated, Constraint):
         raise UnsupportedModel(

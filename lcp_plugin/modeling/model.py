@@ -17,10 +17,10 @@ from cvxpy import settings
 from cvxpy.problems.problem import SolverStats
 from cvxpy.reductions.solution import Solution
 
-from ..core.checks import AnyMatrix, Vector, normalize_bounds
+from ..core.checks import AnyMatrix, Indices, Vector, normalize_bounds
 from ..core.errors import NotSquare, UnsupportedModel, warn
 from ..core.lcp import LCP
-from ..expressions.rows import Indices, Rows, as_matrix, is_definition
+from ..expressions.rows import Rows, as_matrix, is_definition
 from ..problems.cones.data import Blocks, ConeProblem
 from ..problems.cones.frictional_contact import FrictionalContact
 from ..problems.statement import SquareModel, Statement, name_of_row
@@ -84,7 +84,7 @@ class Side:
         return np.broadcast_to(lower, shape), np.broadcast_to(upper, shape)
 
 
-class Pair(Protocol):
+class TwoSides(Protocol):
     """Two sides that complement each other: :class:`~lcp_plugin.modeling.constraint.Complements`."""
 
     first: Side
@@ -123,7 +123,7 @@ def cone_problem(
     return ConeProblem(M, q, cones)
 
 
-def stacked(cone: cp.SOC) -> Any:
+def cone_expression(cone: cp.SOC) -> Any:
     """Return t above x: shape (d,) of one cone, (d, k) of k."""
     t, x = cone.args
     if x.ndim < 2:
@@ -278,13 +278,13 @@ class Model:
                     first = self.spans[key].start
                     self.is_defined[first + as_matrix(block, rows.size).indices] = True
 
-    def add_pairs(self, pairs: Sequence[Pair]) -> None:
+    def add_pairs(self, pairs: Sequence[TwoSides]) -> None:
         """Read complementarities, first the pairs with only one side that can be the variable."""
         order = sorted(pairs, key=lambda p: self._key(p.first)[:4] == self._key(p.second)[:4])
         for pair in order:
             self._pair(pair, *self.sides(pair))
 
-    def sides(self, pair: Pair) -> list[Side]:
+    def sides(self, pair: TwoSides) -> list[Side]:
         """Return the sides of a pair, first its variable: the side with bounds, of two such sides the unknowns."""
         return sorted((pair.first, pair.second), key=self._key)
 
@@ -311,7 +311,7 @@ class Model:
             self._known[key] = ReadSide(rows, columns, weights, shift, low, high)
         return self._known[key]
 
-    def _pair(self, pair: Pair, side: Side, other: Side) -> None:
+    def _pair(self, pair: TwoSides, side: Side, other: Side) -> None:
         """Let the first side be the unknowns of a pair; warn of other readings."""
         if "cone" in (side.form, other.form):
             self._pair_cones(pair, side, other)
@@ -357,7 +357,7 @@ class Model:
         self._report(pair, (side, other), columns, sign, scale, offset, expression)
 
     def _report(
-        self, pair: Pair, sides: Any, columns: Indices, sign: Any = 1.0, *value: Any
+        self, pair: TwoSides, sides: Any, columns: Indices, sign: Any = 1.0, *value: Any
     ) -> None:
         """Report w for the pair and the variable's constraint, the variable for w's constraint."""
         shape = pair.first.expression.shape
@@ -369,7 +369,7 @@ class Model:
                 dual_shape = (columns.size,) if isinstance(constraint, cp.SOC) else shape
                 self.reports.append(DualReport(constraint, columns, dual_shape, *dual))
 
-    def _pair_cones(self, pair: Pair, cone: Side, other: Side) -> None:
+    def _pair_cones(self, pair: TwoSides, cone: Side, other: Side) -> None:
         """K ∋ S ⟂ F ∈ K*: the unknowns are the side that is entries of variables, or new ones."""
         side, entries = cone, []
         for item in (cone, other):
@@ -558,7 +558,7 @@ def friction_of(side: Side) -> Vector | None:
     return np.asarray(contacts + compat.bound_value(side.friction, side))
 
 
-def sign_of_inequality(pair: Pair, low: Vector, high: Vector) -> Vector:
+def sign_of_inequality(pair: TwoSides, low: Vector, high: Vector) -> Vector:
     """Return the sign of w for a stated G ≥ 0: w = G at a lower bound, and w = −G at an upper bound."""
     has_low, has_high = np.isfinite(low), np.isfinite(high)
     if (has_low == has_high).any():
@@ -575,7 +575,7 @@ def states_bounds(side: Side) -> bool:
     return any(v.attributes.get(name) for v in side.expression.variables() for name in names)
 
 
-def warn_of_equality_between_bounds(pair: Pair, side: Side) -> None:
+def warn_of_equality_between_bounds(pair: TwoSides, side: Side) -> None:
     """Warn of an equality that holds only between bounds; raise for an inequality."""
     if side.form != "value":
         raise UnsupportedModel(
@@ -587,7 +587,7 @@ def warn_of_equality_between_bounds(pair: Pair, side: Side) -> None:
     )
 
 
-def pair_residual(pair: Pair) -> Vector | None:
+def pair_residual(pair: TwoSides) -> Vector | None:
     """Return the natural residual of each row of a pair at the present values, or None."""
     model = Model([pair], takes_integers=True)
     side, other = model.sides(pair)

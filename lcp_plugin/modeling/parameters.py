@@ -21,11 +21,11 @@ import scipy.sparse as sp
 from numpy.typing import ArrayLike
 from scipy.sparse.linalg import splu
 
-from ..core.checks import Vector, derived_property, fill
+from ..core.checks import Indices, Vector, derived_property, fill
 from ..core.errors import InvalidOption, UnsuitableProblem, UnsupportedModel
 from ..core.lcp import LCP
 from ..core.names import listed
-from ..expressions.rows import Indices, Program
+from ..expressions.rows import Program
 from ..problems.cones.data import Blocks
 from ..problems.nonlinear.data import NonlinearProblem
 from ..problems.parametric.path import Path, PathPoint, Piece
@@ -378,7 +378,7 @@ def differentiable_parameters(problem: cp.Problem) -> list[Any]:
 
 
 Back = Callable[[Any], dict[int, Any]]
-Lines = dict[cp.Parameter, tuple[Vector, Vector]]
+ParameterLines = dict[cp.Parameter, tuple[Vector, Vector]]
 
 
 class ModelPath(Path):
@@ -387,12 +387,12 @@ class ModelPath(Path):
     Pieces, ``at(θ)`` and ``derivative(θ)`` belong to the LCP or program that cvxpy's problem becomes.
     """
 
-    _lines: Lines
+    _lines: ParameterLines
     _back: Back
     _problem: Any
 
     @classmethod
-    def of(cls, path: Path, lines: Lines, back: Back, problem: cp.Problem) -> ModelPath:
+    def of(cls, path: Path, lines: ParameterLines, back: Back, problem: cp.Problem) -> ModelPath:
         """Return a path with a map back to cvxpy's variables."""
         return fill(cls.__new__(cls), **vars(path), _lines=lines, _back=back, _problem=problem)
 
@@ -401,7 +401,7 @@ class ModelPath(Path):
         point = super().at(theta, piece)
         if point.solution is not None:
             with moved_to(self._lines, float(theta)):
-                value = _program(self._problem)[0].objective(point.x)
+                value = _compiled_program(self._problem)[0].objective(point.x)
             point = replace(point, stated_objective=sense_of(self._problem) * value)
         return point
 
@@ -423,7 +423,7 @@ class ModelPath(Path):
             return self._back(self.piece_at(theta).z_at(theta))
 
 
-def parameter_lines(problem: cp.Problem, along: object) -> Lines:
+def parameter_lines(problem: cp.Problem, along: object) -> ParameterLines:
     """Return value and direction of each parameter that moves: it is value + θ · direction.
 
     Parameters
@@ -452,7 +452,7 @@ def parameter_lines(problem: cp.Problem, along: object) -> Lines:
 
 
 @contextmanager
-def moved_to(lines: Lines, theta: float) -> Iterator[None]:
+def moved_to(lines: ParameterLines, theta: float) -> Iterator[None]:
     """Give the parameters their values at θ, and restore the previous values at the end."""
     before = {parameter: parameter.value for parameter in lines}
     try:
@@ -480,7 +480,7 @@ def trace_model(
         If a matrix depends on the parameter, or a vector depends on it not affinely.
     """
     lines = parameter_lines(problem, along)
-    stated = _pairs if is_complementarity_problem(problem) else _program
+    stated = _pairs if is_complementarity_problem(problem) else _compiled_program
     other = stop if stop != start else start + 1.0
     # A test point that no simple fraction hits
     values = (start, other, start + 0.3819660112501051 * (other - start))
@@ -489,7 +489,7 @@ def trace_model(
         with moved_to(lines, theta):
             program, back = stated(problem)
         problems.append(program)
-    path = trace_stated(*_line(problems, values), start, stop, tolerance)
+    path = trace_stated(*_affine_data(problems, values), start, stop, tolerance)
     return ModelPath.of(path, lines, back, problem)
 
 
@@ -497,13 +497,13 @@ def _pairs(problem: cp.Problem) -> tuple[LCP, Back]:
     return build_from(problem).lcp("trace"), lambda z: build_from(problem).values(z)
 
 
-def _program(problem: cp.Problem) -> tuple[QuadraticProgram, Back]:
+def _compiled_program(problem: cp.Problem) -> tuple[QuadraticProgram, Back]:
     # With parameters as numbers: for an expression that is not affine, cvxpy's cache may be of an old value.
     compiled = CompiledProblem.of(problem, is_folded=True, ignore_dpp=True)
     return compiled.program, compiled.values
 
 
-def _line(problems: list[Any], values: tuple[float, ...]) -> tuple[Any, dict[str, Vector]]:
+def _affine_data(problems: list[Any], values: tuple[float, ...]) -> tuple[Any, dict[str, Vector]]:
     """Return the problem at θ = 0 and its vectors' directions, from three values of θ; raise if they are not affine."""
     first = problems[0]
     for name in first.matrix_names:

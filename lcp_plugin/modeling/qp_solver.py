@@ -20,10 +20,10 @@ from cvxpy.reductions.solution import Solution, failure_solution
 from cvxpy.reductions.solvers import utilities
 from cvxpy.reductions.solvers.qp_solvers.qp_solver import QpSolver
 
-from ..core.checks import Vector
+from ..core.checks import Indices, Vector
 from ..core.errors import InvalidProblem, UnsupportedModel
 from ..core.names import Names
-from ..expressions.rows import Indices, entry_numbers
+from ..expressions.rows import entry_numbers
 from ..problems.programs.certification import Certification, certify
 from ..problems.programs.no_minimum import QPInfeasibility
 from ..problems.programs.program import QuadraticProgram
@@ -33,9 +33,9 @@ from ..problems.programs.solving import solve_program
 from ..problems.statement import name_of_row
 from . import _compat as compat
 
-BEGUN = "started from the last solution; warm_start=False starts from zero"
+STARTED_FROM_SOLUTION = "started from the last solution; warm_start=False starts from zero"
 PROGRAM = "lcp_plugin.program"  # the key of the last program in the solver cache
-MATRIX_KEYS = (settings.P, settings.F, settings.A)
+CVXPY_MATRICES = (settings.P, settings.F, settings.A)
 
 
 class _LCPQuadraticSolver(QpSolver):  # type: ignore[misc]
@@ -95,7 +95,7 @@ class _LCPQuadraticSolver(QpSolver):  # type: ignore[misc]
             program = quadratic_program(data, cache).replaced(**known)
             result = solve_program(program, algorithm, verbose=bool(verbose), **options)
             if guess is not None and options["z0"] is guess and not result.has_no_solution:
-                result = replace(result, begun=BEGUN)
+                result = replace(result, begun=STARTED_FROM_SOLUTION)
         cache[self.name()] = None if result.has_no_solution else result.z
         return result, verbose
 
@@ -135,7 +135,7 @@ def quadratic_program(data: Any, cache: Any) -> QuadraticProgram:
     If the program in the cache has the same matrices, its factorization and scaling are shared.
     """
     rows = n, m, p = [int(data[key]) for key in ("n_var", "n_ineq", "n_eq")]
-    given = zip((data[key] for key in MATRIX_KEYS), rows, strict=True)
+    given = zip((data[key] for key in CVXPY_MATRICES), rows, strict=True)
     matrices = [sp.csc_array((size, n)) if part is None else part for part, size in given]
     q, g, b = data[settings.Q], data[settings.G], data[settings.B]
     constant = float(data[settings.OFFSET])
@@ -292,7 +292,7 @@ CLAIMED |= dict.fromkeys((settings.UNBOUNDED, settings.UNBOUNDED_INACCURATE), "u
 
 def certify_problem(problem: cp.Problem, tolerance: float) -> Certification:
     """Return the proved properties of the values and the status of a cvxpy problem."""
-    _check(problem)
+    _check_solved(problem)
     compiled = CompiledProblem.of(problem)
     claim = CLAIMED.get(problem.status)
     point = _point(problem, compiled) if claim is None else None
@@ -304,7 +304,7 @@ def certify_problem(problem: cp.Problem, tolerance: float) -> Certification:
     return replace(certification, lower=lower, upper=upper)
 
 
-def _check(problem: cp.Problem) -> None:
+def _check_solved(problem: cp.Problem) -> None:
     """Raise an error unless this is a solved problem that QPSolver could take."""
     if not isinstance(problem, cp.Problem):
         raise InvalidProblem(f"certify needs a cvxpy.Problem, got {type(problem).__name__}")

@@ -27,6 +27,7 @@ from cvxpy.atoms.prod import Prod
 from cvxpy.atoms.quad_form import QuadForm
 from cvxpy.expressions.expression import Expression
 
+from ..core.checks import Indices
 from ..core.errors import UnsupportedModel
 from ..expressions import functions
 from ..expressions import rows as arrays
@@ -111,7 +112,7 @@ def _cvxpy_jacobian(node: cp.Expression, k: int, values: list[Any]) -> sp.csr_ar
 # --- affine ---------------------------------------------------------------------------------------------------------
 
 
-def _product(compiler: Compiler, node: cp.Expression, arguments: list[Any]) -> Rows:
+def _product_rows(compiler: Compiler, node: cp.Expression, arguments: list[Any]) -> Rows:
     left, right = arguments
     if isinstance(node, atoms.DIVISION):
         return compiler.elementwise(functions.QUOTIENT, left, right, node.shape)
@@ -136,7 +137,7 @@ def _gathered(compiler: Compiler, node: cp.Expression, arguments: list[Any]) -> 
 
 
 def _summed(compiler: Compiler, node: cp.Expression, arguments: list[Any]) -> Rows:
-    rows, axes = arguments[0], _axes(node)
+    rows, axes = arguments[0], _summed_axes(node)
     kept = tuple(1 if axis in axes else length for axis, length in enumerate(rows.shape))
     return rows.summed(arrays.entries_behind(rows.shape, kept), node.shape)
 
@@ -144,7 +145,7 @@ def _summed(compiler: Compiler, node: cp.Expression, arguments: list[Any]) -> Ro
 AFFINE: dict[tuple[Any, ...], Rule] = {
     atoms.SUM: lambda _, node, arguments: added(arguments, node.shape),
     atoms.NEGATIVE: lambda _, node, arguments: arguments[0].scaled(-1.0),
-    (*atoms.PRODUCT, *atoms.ELEMENTWISE): _product,
+    (*atoms.PRODUCTS, *atoms.ELEMENTWISE): _product_rows,
     atoms.BROADCAST: lambda _, node, arguments: arguments[0].spread(node.shape),
     atoms.GATHERS: _gathered,
     atoms.ENTRY_SUM: _summed,
@@ -154,7 +155,7 @@ AFFINE: dict[tuple[Any, ...], Rule] = {
 # --- smooth ---------------------------------------------------------------------------------------------------------
 
 
-def _axes(node: cp.Expression) -> list[int]:
+def _summed_axes(node: cp.Expression) -> list[int]:
     count, axis = len(node.args[0].shape), getattr(node, "axis", None)
     return [k % count for k in (range(count) if axis is None else np.atleast_1d(axis).tolist())]
 
@@ -180,9 +181,9 @@ def _power(compiler: Compiler, node: cp.Expression, arguments: list[Any]) -> Row
     return rows if exponent == 1.0 else compiler.emit(functions.power(exponent), rows)
 
 
-def _reduced(node: cp.Expression) -> arrays.Indices:
+def _reduced(node: cp.Expression) -> Indices:
     """Return the entries of each result, along the node's axis: shape (entries, results)."""
-    shape, axes = node.args[0].shape, _axes(node)
+    shape, axes = node.args[0].shape, _summed_axes(node)
     moved = np.moveaxis(arrays.entry_numbers(shape), axes, range(len(axes)))
     return moved.reshape((math.prod(shape[axis] for axis in axes), -1), order="F")
 
@@ -278,7 +279,7 @@ Memo = dict[int, tuple[Any, Any]]  # nodes and their results, by id
 
 #: Attributes that tie entries to each other or to a set, so that the columns would not be free.
 FORBIDDEN_ATTRIBUTES = "symmetric diag PSD NSD hermitian sparsity complex imag"
-INTEGERS = "boolean integer"
+INTEGRAL = "boolean integer"
 
 
 def folded(
@@ -467,6 +468,6 @@ def hidden_parameters(node: cp.Expression) -> list[Any]:
 
 def restricting_attribute(leaf: Any, *, takes_integers: bool = False) -> str | None:
     """Return the attribute that ties or restricts entries of a variable or parameter, or None."""
-    names = FORBIDDEN_ATTRIBUTES if takes_integers else f"{FORBIDDEN_ATTRIBUTES} {INTEGERS}"
+    names = FORBIDDEN_ATTRIBUTES if takes_integers else f"{FORBIDDEN_ATTRIBUTES} {INTEGRAL}"
     states = ((name, leaf.attributes.get(name)) for name in names.split())
     return next((name for name, state in states if not (state is None or state is False)), None)

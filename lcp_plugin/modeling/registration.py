@@ -55,7 +55,7 @@ def is_complementarity_problem(problem: cp.Problem) -> bool:
     return are_equations and not all(c.is_dcp() for c in constraints)
 
 
-def build(constraints: list[Any], memo: Memo | None = None) -> Model:
+def model_of_constraints(constraints: list[Any], memo: Memo | None = None) -> Model:
     """Return the model of complementarities and equalities.
 
     Raises
@@ -91,7 +91,7 @@ def build_from(problem: cp.Problem) -> Model:
             f"the objective {name_of(problem.objective.args[0])} with complementarity is not a single LCP: "
             'problem.solve(method="LCP") finds the best of all solutions; write cp.Minimize(0) for any solution'
         )
-    return build(problem.constraints, _memos.setdefault(problem, {}))
+    return model_of_constraints(problem.constraints, _memos.setdefault(problem, {}))
 
 
 def lcp_stated_by(problem: cp.Problem) -> LCP:
@@ -173,7 +173,7 @@ def solve_model(
             )
         if not is_complementarity_problem(problem):
             options |= {"algorithm": algorithm, **compilation}
-            return _program(problem, warm_start, bool(verbose), options)
+            return _solve_qp(problem, warm_start, bool(verbose), options)
         options |= {"algorithm": algorithm, "verbose": bool(verbose)}
         if not problem.objective.args[0].is_constant():
             return _best(problem, warm_start, options)
@@ -271,7 +271,7 @@ def _has_cones(problem: cp.Problem) -> bool:
     return any("cone" in (pair.first.form, pair.second.form) for pair in pairs)
 
 
-def _program(problem: cp.Problem, warm_start: bool, verbose: bool, options: dict[str, Any]) -> Any:
+def _solve_qp(problem: cp.Problem, warm_start: bool, verbose: bool, options: dict[str, Any]) -> Any:
     """Solve a quadratic program."""
     names = NamesOnDemand(problem)
     options |= {"solver": QPSolver, "warm_start": warm_start, "verbose": verbose}

@@ -460,7 +460,7 @@ def inverse_by_components(mass: Any) -> Any:
         If it is not positive definite.
     """
     if isinstance(mass, np.ndarray):
-        return _inverse(mass)
+        return _inverses(mass)
     from scipy.sparse.csgraph import connected_components  # most problems do not need it
 
     if (mass.diagonal() <= 0.0).any():
@@ -472,13 +472,13 @@ def inverse_by_components(mass: Any) -> Any:
     for size in np.unique(sizes).tolist():
         rows = order[sizes[order] == size]
         part = sp.bsr_array(sp.csr_array(mass)[rows][:, rows], blocksize=(size, size))
-        part.data = _inverse(part.data)
+        part.data = _inverses(part.data)
         inverses.append(part)
     place = np.argsort(order)
     return sp.block_diag(inverses, format="csr")[place][:, place]
 
 
-def _inverse(blocks: FloatArray) -> FloatArray:
+def _inverses(blocks: FloatArray) -> FloatArray:
     """Return the inverses of matrices, (…, v, v); raise InvalidProblem if one is not positive definite."""
     try:
         np.linalg.cholesky(blocks)

@@ -37,7 +37,7 @@ from .programs.no_minimum import QPUnboundedness, stationarity
 from .programs.program import QuadraticProgram
 
 PARTS_OF_PROOFS = {"y", "radius", "tree", "z", "point", "direction", "checksum"}
-SIGNS = {(True, False): ">=", (True, True): "=", (False, True): "<=", (False, False): ""}
+RELATIONS = {(True, False): ">=", (True, True): "=", (False, True): "<=", (False, False): ""}
 
 
 @dataclass(frozen=True)
@@ -193,18 +193,18 @@ def _data_of(problem: LCP | QuadraticProgram, kind: str) -> dict[str, Any]:
     """Return the data of a problem as the file states them."""
     if isinstance(problem, LCP):
         vectors = {name: _numbers(getattr(problem, name)) for name in ("q", "lower", "upper")}
-        return {"M": _terms(problem.csr), **vectors}
+        return {"M": _terms_by_row(problem.csr), **vectors}
     P = sp.csr_array(problem.P)
     stated = stationarity(problem, P) if kind == "stationarity" else problem.constraints.as_rows
     needs = zip(stated.needs_rise.tolist(), stated.needs_fall.tolist(), strict=True)
-    signs = [SIGNS[pair] for pair in needs]
-    terms, constants = _terms(stated.matrix), _numbers(stated.q)
+    signs = [RELATIONS[pair] for pair in needs]
+    terms, constants = _terms_by_row(stated.matrix), _numbers(stated.q)
     if kind == "stationarity":  # the multipliers of inequalities are not negative
         signs += np.where(np.isfinite(stated.lower), ">=", "").tolist()
-        terms += _terms(sp.eye_array(stated.lower.size, format="csr"))
+        terms += _terms_by_row(sp.eye_array(stated.lower.size, format="csr"))
         constants += _numbers(-stated.lower)
     rows = [[*row] for row in zip(terms, constants, strict=True)]
-    objective = {"P": _terms(P), "c": _numbers(problem.c)} if kind == "ray" else {}
+    objective = {"P": _terms_by_row(P), "c": _numbers(problem.c)} if kind == "ray" else {}
     return {"kind": kind, "rows": rows, "signs": signs, **objective}
 
 
@@ -230,7 +230,7 @@ def _multipliers(certificate: FarkasCertificate, path: Mapping[int, str]) -> lis
     return [[i, _number(value)] for i, value in y.items()]
 
 
-def _terms(matrix: sp.csr_array) -> list[Any]:
+def _terms_by_row(matrix: sp.csr_array) -> list[Any]:
     """Return the columns and coefficients of each row."""
     return [[[j, _number(a)] for j, a in row.items()] for row in arithmetic.rational_rows(matrix)]
 

@@ -9,15 +9,11 @@ from functools import cached_property
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
-from ..core.checks import AnyMatrix, Vector, checked_answer, rectangular_matrix
+from ..core.checks import AnyMatrix, FloatMatrix, Vector, checked_answer, rectangular_matrix
 from ..core.errors import InvalidProblem, NotConverged
 from ..core.lcp import LCP
 from .programs.program_matrices import as_array
-
-FloatMatrix = NDArray[np.float64]
-
 
 Game = Mapping[tuple[int, int], FloatMatrix]  # payoffs of player i by the actions of i and j
 

@@ -42,7 +42,7 @@ from ..proofs.bounds import ActiveRows, settled_rows
 from ..proofs.uniqueness import directions_of_solutions, moving
 from ..solving.lcp_solver import solve_lcp
 from ..solving.result import Result
-from ..systems.free_systems import CONSISTENT, FreeBlocks, FreeSystem, LinearizedSystem, products
+from ..systems.free_systems import CONSISTENT, FreeBlocks, FreeSystem, LinearizedSystem, matvecs
 from ..systems.graph import outer_on_pattern
 from .batches.batch_run import BatchAnswers
 from .batches.instances import ContactInstances, Group, RightSides, Stacked, stack_of
@@ -58,7 +58,7 @@ from .programs.derivative import ProgramArrays, ProgramDerivative, least_squares
 from .programs.result import QuadraticProgramResult
 
 STEPS = 6  # active-set iterations; from a solved problem 1 or 2 classify all rows
-NUMBERS = "dlower", "dupper", "dfriction"  # data whose change may be one number
+SCALAR_CHANGES = "dlower", "dupper", "dfriction"  # data whose change may be one number
 
 
 class BatchPart(LinearizedSystem):
@@ -90,7 +90,7 @@ class BatchPart(LinearizedSystem):
         is_exact, is_open = np.zeros(len(z), np.bool_), is_solved & np.isfinite(z).all(axis=1)
         z[~is_open] = 0.0
         for step in range(1, STEPS + 1):
-            w, size = products(M, z) + q, products(sizes, np.abs(z)) + np.abs(q)
+            w, size = matvecs(M, z) + q, matvecs(sizes, np.abs(z)) + np.abs(q)
             at_lower = (z - lower) * scale <= w
             at_upper = ~at_lower & ((z - upper) * scale >= w)
             free, bound = ~(at_lower | at_upper), np.where(at_upper, upper, lower)
@@ -139,7 +139,7 @@ class BatchPart(LinearizedSystem):
         return gradients_by_data(self, g, by_w, self.free, self.is_upper)
 
     def _product(self, x: Array, *, transposed: bool = False) -> Any:
-        return products(self.group.M.swapaxes(1, 2) if transposed else self.group.M, x)
+        return matvecs(self.group.M.swapaxes(1, 2) if transposed else self.group.M, x)
 
     def _solve_free(self, right: Array, *, transposed: bool = False) -> Any:
         x = self.blocks.solve(right, transposed=transposed)
@@ -300,7 +300,7 @@ class ManyDerivatives:
             moved = (checks.rectangular_matrix(dM, "dM", n, n) @ z.T).T
             return np.where(is_row, moved, 0.0) + change
         is_there = is_row[:, :, np.newaxis] & is_row[:, np.newaxis]
-        return products(self._checked(dM, "dM", is_there), z) + change
+        return matvecs(self._checked(dM, "dM", is_there), z) + change
 
     def _jvp(self, dM: AnyMatrix, dq: Any, **others: Any) -> Any:
         """Return the changes dz for changes of the data, shape (B, n)."""
@@ -367,7 +367,7 @@ class ManyDerivatives:
         shapes = f"(B, {row.strip(',')}) or ({row}), here {shape} or {row_shape}"
         need = f"{name} must have shape {shapes}"
         array = checks.real_array(values, need)
-        if array.shape not in (shape, row_shape, () if name in NUMBERS else row_shape):
+        if array.shape not in (shape, row_shape, () if name in SCALAR_CHANGES else row_shape):
             raise InvalidProblem(f"{need}, got shape {array.shape}")
         array = np.broadcast_to(array, shape) if is_there.all() else np.where(is_there, array, 0.0)
         checks.require_finite(array, name)
@@ -616,7 +616,7 @@ class ContactBatchDerivative(ManyDerivatives):
 
     def dw(self, dz: ArrayLike, *, dq: Any = None, dM: AnyMatrix = None) -> Any:
         """Return the changes of the velocities w = W z + b for changes dz of z, shape (B, n)."""
-        dw = products(self.instances.W, self._rows(dz, "dz")) + self._changed(dM, dq)
+        dw = matvecs(self.instances.W, self._rows(dz, "dz")) + self._changed(dM, dq)
         dw[[*self.errors]] = np.nan
         return dw
 
@@ -628,14 +628,14 @@ class ContactBatchDerivative(ManyDerivatives):
         return np.arange(size) < counts[:, np.newaxis]
 
 
-SINGULAR = "M is singular on the free rows, too many for a generalised inverse; regularise M"
+NO_INVERSE = "M is singular on the free rows, too many for a generalised inverse; regularise M"
 
 
 def words_on_singular(system: FreeSystem) -> str:
     """Return a warning about a derivative if M is singular on the free rows."""
     inverse = system.pseudo_inverse
     if inverse is None:
-        return SINGULAR
+        return NO_INVERSE
     rank = round(float(np.trace(inverse @ system.block)))
     alike = "the same" if np.all(system.determined_slack) else "not the same"
     return (
@@ -648,7 +648,7 @@ def solution(system: FreeSystem, right: Vector, *, transposed: bool = False) -> 
     """Return the solution, with least norm if the block is singular."""
     x = system.least_solution(right, transposed=transposed)
     if x is None:
-        raise UnsuitableProblem(SINGULAR)
+        raise UnsuitableProblem(NO_INVERSE)
     if system.is_singular and not transposed:
         part, right = x[system.rows], right[system.rows]
         # An entry of 1e-17 stands for 0: next to its terms, the residual of its row is large

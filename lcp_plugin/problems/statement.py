@@ -17,7 +17,7 @@ import numpy as np
 import scipy.sparse as sp
 from numpy.typing import NDArray
 
-from ..core.checks import Array, BoolVector, Vector
+from ..core.checks import Array, BoolVector, Indices, Vector
 from ..core.deadline import time_limit
 from ..core.entries import largest_in_rows, row_numbers
 from ..core.errors import NotSquare, UnsupportedModel
@@ -27,16 +27,7 @@ from ..core.names import MOST_NAMES, Names, format_count
 from ..core.settings import Status
 from ..core.structure import equation_signs
 from ..expressions import functions
-from ..expressions.rows import (
-    Compiler,
-    Indices,
-    Program,
-    Rows,
-    added,
-    as_matrix,
-    assembled,
-    is_definition,
-)
+from ..expressions.rows import Compiler, Program, Rows, added, as_matrix, assembled, is_definition
 from ..judges.worst_rows import WorstRow, outside_row
 from ..proofs.no_solution import find_infeasibility
 from ..solving.dispatch import solve
@@ -225,7 +216,7 @@ def matched_for_monotony(
     return order, signs * equation_signs(whole, is_equation)[paired.size :]
 
 
-Numbers = Sequence[int] | Indices
+RowNumbers = Sequence[int] | Indices
 BEGUN = (
     "started from the values of the variables, which are the last solution unless others were set"
 )
@@ -555,7 +546,7 @@ class Statement:
         names, c = self._names(stated, range(low.size), range(lower.size)), np.zeros(lower.size)
         return QuadraticProgram.from_ranges(None, c, A, low, high, lower, upper, names=names)
 
-    def _names(self, stated: list[StatedRows], rows: Numbers, kept: Numbers) -> Names:
+    def _names(self, stated: list[StatedRows], rows: RowNumbers, kept: RowNumbers) -> Names:
         """Return the names of a problem with some of the stated rows and of the unknowns."""
         named = [(part.rows.size, part.name) for part in stated]
         unknown = partial(name_of_row, [(self._named, self.name)], kept)
@@ -720,7 +711,7 @@ class Statement:
 
 
 def name_of_row(
-    stated: list[tuple[int, Callable[[int], str] | None]], rows: Numbers, i: int
+    stated: list[tuple[int, Callable[[int], str] | None]], rows: RowNumbers, i: int
 ) -> str:
     """Return the name of row or unknown i of a problem, by the counts and names of stated parts; "" without a name."""
     k = int(rows[i])

@@ -72,7 +72,7 @@ from . import exact
 from .exact import product_above, quotient_above, sum_above
 from .verdicts import HCertificate, comparison_certificate
 
-SIGNS = np.array([[1.0], [-1.0]])
+BOTH = np.array([[1.0], [-1.0]])
 
 
 @dataclass(frozen=True, eq=False)
@@ -101,15 +101,15 @@ class RowInequality:
         """Return the inequality at the finite point high + low, each of shape (n,)."""
         if low is None:
             value, radius = compensated_product(problem.csr, high, problem.q)
-            slack, low = SIGNS * value, np.zeros(problem.n)
+            slack, low = BOTH * value, np.zeros(problem.n)
         else:  # w is small relative to its terms
             first, remainder, radius = compensated_pair(problem.csr, high, problem.q)
             second, second_radius = compensated_product(problem.csr, low)
             radius = sum_above(radius, second_radius)
-            slack = sum_above(sum_above(SIGNS * first, SIGNS * second), SIGNS * remainder)
+            slack = sum_above(sum_above(BOTH * first, BOTH * second), BOTH * remainder)
 
         def distance(*bounds: Vector) -> Vector:
-            return sum_above(sum_above(SIGNS * high, np.stack(bounds)), SIGNS * low)
+            return sum_above(sum_above(BOTH * high, np.stack(bounds)), BOTH * low)
 
         lower, upper = problem.lower, problem.upper
         within, beyond = distance(-lower, upper), distance(-upper, lower)
@@ -149,7 +149,7 @@ class NearPoint(NamedTuple):
 
     def distance(self, z: Vector) -> Vector:
         """Return an upper bound of |z − ẑ|, shape (n,)."""
-        signed = sum_above(sum_above(SIGNS * z, -SIGNS * self.high), -SIGNS * self.low)
+        signed = sum_above(sum_above(BOTH * z, -BOTH * self.high), -BOTH * self.low)
         return np.asarray(signed.max(axis=0))
 
     def bound_at(self, z: Vector) -> Vector:
@@ -362,10 +362,10 @@ class EigenvalueBound(NamedTuple):
 
 
 #: Proof behind an error bound: v with ⟨M⟩v > 0 of an M with a positive diagonal, or λ.
-Family = HCertificate | EigenvalueBound
+BoundProof = HCertificate | EigenvalueBound
 
 
-def bound_of_error(at: RowInequality, family: Family) -> Vector:
+def bound_of_error(at: RowInequality, family: BoundProof) -> Vector:
     """Return a bound of |z − z*|, shape (n,), by the least t v or by the 2-norm."""
     if isinstance(family, HCertificate):
         return product_above(at.inflation(family), family.v)
@@ -584,7 +584,7 @@ def error_bound(problem: LCP, z: ArrayLike, *, sharp: bool = True) -> ErrorBound
         raise InvalidOption(f"sharp must be True or False, got {sharp!r}")
     z, began = checked_vector(z, "z", problem.n, is_finite=False), time.perf_counter()
     is_positive = bool(np.all(problem.diagonal > 0.0))
-    family: Family | None = comparison_certificate(problem.matrix) if is_positive else None
+    family: BoundProof | None = comparison_certificate(problem.matrix) if is_positive else None
     if family is None and (family := smallest_eigenvalue_bound(problem.matrix)) is None:
         raise UnsuitableMatrix(NO_PROOF)
     method = "2-norm, λ_min" if isinstance(family, EigenvalueBound) else "v-certificate"
@@ -604,7 +604,7 @@ def error_bound(problem: LCP, z: ArrayLike, *, sharp: bool = True) -> ErrorBound
     return replace(bound, seconds=time.perf_counter() - began)
 
 
-def _sharpened(at: RowInequality, y: Vector, family: Family) -> tuple[Vector, NearPoint]:
+def _sharpened(at: RowInequality, y: Vector, family: BoundProof) -> tuple[Vector, NearPoint]:
     """Return a bound of the error of `at`, and a point nearer to z*; steps follow while they lower the bound."""
     steps, point, near = ActiveSetSteps(at.problem), at, NearPoint(at.high, at.low, y)
     is_large = y.size > CHEAP_UP_TO

@@ -26,17 +26,15 @@ from functools import cached_property
 from itertools import chain
 
 import numpy as np
-from numpy.typing import NDArray
 
-from ..core.deadline import is_over, time_limit
+from ..core.checks import Indices
+from ..core.deadline import SEARCH_SECONDS, is_over, time_limit
 from ..core.names import describe_radius, grouped, listed
 from . import exact, farkas
 from .farkas import FarkasCertificate, FarkasProgram, LinearConstraints
 
-MAX_SECONDS = 60.0  # of a search; the smallest set so far is then returned
-Multipliers = Mapping[int, Fraction]
+RowWeights = Mapping[int, Fraction]
 Namer = Callable[[int], str]
-Indices = NDArray[np.intp]
 
 
 @dataclass(frozen=True, eq=False)
@@ -69,7 +67,7 @@ class Conflict:
 
     rows: LinearConstraints = field(repr=False)
     name: Namer = field(repr=False)
-    multipliers: Multipliers
+    multipliers: RowWeights
     is_irreducible: bool = False
 
     @property
@@ -128,10 +126,10 @@ class Conflict:
         return f"{together}: {listed(grouped(self.names, 12), 12, ' · ')}"
 
 
-def find_conflict(rows: LinearConstraints, name: Namer, multipliers: Multipliers) -> Conflict:
+def find_conflict(rows: LinearConstraints, name: Namer, multipliers: RowWeights) -> Conflict:
     """Return a set of constraints that conflict, irreducible if the search ends in time; as in :class:`Conflict`."""
-    y: Multipliers = {i: value for i, value in multipliers.items() if value}
-    with time_limit(MAX_SECONDS):
+    y: RowWeights = {i: value for i, value in multipliers.items() if value}
+    with time_limit(SEARCH_SECONDS):
         every, used = np.arange(rows.q.size), np.array(sorted(y))
         chosen = every if rows.matrix.nnz <= 200_000 else used  # entries: some seconds
         few = _part(rows, chosen)
@@ -158,7 +156,7 @@ def _programs(rows: LinearConstraints) -> Iterator[FarkasProgram]:
     yield from (FarkasProgram(rows, unit) for unit in units)
 
 
-def _sparse_program(rows: LinearConstraints, y: Multipliers) -> FarkasProgram:
+def _sparse_program(rows: LinearConstraints, y: RowWeights) -> FarkasProgram:
     """Return the linear program of the combination with least Σ|y_i| Σ_j |m_ij| that gives minus the heaviest row of y.
 
     Its solution has few rows. The combination of the largest margin mostly has as many rows as there are unknowns.
@@ -171,8 +169,8 @@ def _sparse_program(rows: LinearConstraints, y: Multipliers) -> FarkasProgram:
 
 
 def _smaller(
-    rows: LinearConstraints, y: Multipliers, chosen: Indices, programs: Iterable[FarkasProgram]
-) -> Multipliers:
+    rows: LinearConstraints, y: RowWeights, chosen: Indices, programs: Iterable[FarkasProgram]
+) -> RowWeights:
     """Return the first multipliers of the chosen rows, by the programs, that are fewer than y, or as few and exact."""
     best, certificate = y, FarkasCertificate(rows, y)
     least = (len(y) if certificate.holds_near else rows.q.size + 1, not certificate.holds)
@@ -192,7 +190,7 @@ def _smaller(
     return best
 
 
-def _is_irreducible(rows: LinearConstraints, y: Multipliers) -> bool:
+def _is_irreducible(rows: LinearConstraints, y: RowWeights) -> bool:
     """Return whether the rows of y have only y as a dependence, by their rank modulo a prime or to rounding."""
     proof = FarkasCertificate(rows, y)
     members = exact.rational_rows(rows.matrix[sorted(y)])

@@ -249,24 +249,24 @@ LIMB = 22  # bits: products with digits below 2²⁵ add up in 64 bits
 
 Integers = NDArray[np.int64]
 IntegerRows = Sequence[Sequence[int]]
-Rows = list[list[int]]
+Lists = list[list[int]]
 
 
 # --- Signs of minors ----------------------------------------------------------------------
 
 
-def exact_rows(M: AnyMatrix) -> Rows:
+def exact_rows(M: AnyMatrix) -> Lists:
     """Return the entries of a CSR array as integers, each row times a power of two."""
     return [shortened(row) for row in _whole(M)]
 
 
-def exact_symmetric_part(M: AnyMatrix) -> Rows:
+def exact_symmetric_part(M: AnyMatrix) -> Lists:
     """Return M + Mᵀ as integers, each row times a power of two."""
     rows = _whole(M)
     return [shortened([a + rows[j][i] for j, a in enumerate(row)]) for i, row in enumerate(rows)]
 
 
-def _whole(M: AnyMatrix) -> Rows:
+def _whole(M: AnyMatrix) -> Lists:
     """Return the entries of a CSR array as integers, all of them times one power of two."""
     entries, _ = integers(M.toarray().ravel())
     width = max(M.shape[1], 1)
@@ -279,7 +279,7 @@ def shortened(row: Sequence[int]) -> list[int]:
     return [entry >> zeros for entry in row]
 
 
-def has_nonnegative_pivots(matrix: Rows, *, is_strict: bool = False) -> bool:
+def has_nonnegative_pivots(matrix: Lists, *, is_strict: bool = False) -> bool:
     """Return whether a symmetric matrix is positive semidefinite; rows of zero pivots are zero.
 
     A strict test lets only positive pivots pass: of a definite matrix, or a Z-matrix that is a nonsingular M-matrix.
@@ -293,7 +293,7 @@ def has_nonnegative_pivots(matrix: Rows, *, is_strict: bool = False) -> bool:
     return True
 
 
-def has_positive_minors(matrix: Rows, before: int = 1) -> bool:
+def has_positive_minors(matrix: Lists, before: int = 1) -> bool:
     """Return whether all principal minors are positive; `before` is the pivot eliminated last."""
     if not matrix:
         return True
@@ -304,7 +304,7 @@ def has_positive_minors(matrix: Rows, before: int = 1) -> bool:
     return is_first and has_positive_minors(eliminated(matrix, before), pivot)
 
 
-def eliminated(matrix: Rows, before: int) -> Rows:
+def eliminated(matrix: Lists, before: int) -> Lists:
     """Return the Schur complement of the first pivot times that pivot, all of it divided by the pivot before."""
     (pivot, *top), *rows = matrix
     return [
@@ -313,7 +313,7 @@ def eliminated(matrix: Rows, before: int) -> Rows:
     ]
 
 
-def _rest(matrix: Rows) -> Rows:
+def _rest(matrix: Lists) -> Lists:
     return [row[1:] for row in matrix[1:]]
 
 
@@ -405,7 +405,7 @@ def _lifted(A: IntegerRows, b: Sequence[int], inverse: Integers, prime: int) -> 
     modulus, digits, next_try = 1, 0, 4
     while not is_over():
         digit = inverse @ (residual % prime).astype(np.int64) % prime
-        residual = (residual - _product(limbs, digit)) // prime
+        residual = (residual - _limb_product(limbs, digit)) // prime
         x += digit.astype(object) * modulus
         modulus *= prime
         digits += 1
@@ -431,7 +431,7 @@ def _limbs(A: IntegerRows) -> list[Integers]:
     return [np.array([[limb(a, shift) for a in row] for row in A], np.int64) for shift in shifts]
 
 
-def _product(limbs: list[Integers], digit: Integers) -> Any:
+def _limb_product(limbs: list[Integers], digit: Integers) -> Any:
     total = (limbs[-1] @ digit).astype(object)
     for limb in reversed(limbs[:-1]):
         total = total * (1 << LIMB) + (limb @ digit)
@@ -527,7 +527,7 @@ def independent_rows(rows: list[Row]) -> list[list[int]]:
     return list(lots.values())
 
 
-def integer_rows(rows: list[Row], place: Mapping[int, int]) -> tuple[Rows, list[int]]:
+def integer_rows(rows: list[Row], place: Mapping[int, int]) -> tuple[Lists, list[int]]:
     """Return the rows as lists of integers, column j at its place, and their common denominators."""
     whole, denominators = [[0] * len(place) for _ in rows], list[int]()
     for entries, row in zip(whole, rows, strict=True):
@@ -562,9 +562,6 @@ def _by_largest_block(rows: list[Row], right: Fractions, guess: Fractions) -> Ro
     return solution if list(sums) == right else None
 
 
-LOWEST = -LARGEST  # the lowest double
-
-
 def sum_above(a: Any, b: Array) -> Vector:
     """Return a float64 ≥ a + b, equal to it if a + b is a float64."""
     total = np.add(a, b)
@@ -586,7 +583,7 @@ def quotient_above(a: Any, b: Array) -> Vector:
 def _above(value: Any) -> Vector:
     """Return a float64 above the value, by one or two steps; the least finite number for −∞."""
     # In [1, 2) ulps; the product underflows only if TINY is the ulp.
-    return _choice(value < LOWEST, LOWEST, value + np.maximum(np.abs(value) * EPSILON, TINY))
+    return _choice(value < -LARGEST, -LARGEST, value + np.maximum(np.abs(value) * EPSILON, TINY))
 
 
 def _choice(condition: Any, yes: Any, no: Any) -> Vector:

@@ -227,7 +227,7 @@ PIVOT_WORK = 120_000_000  # pivots times rows and columns: on 12 000 of both the
 LP_TOLERANCE = 1e-9  # a tenth of it is the least that HiGHS takes
 NORMS = (1e-6, 1e6)  # smallest and largest: entries of one row of the linear program
 # times the unit: sizes that a linear program distinguishes from ∞ and from 0
-MOST_UNITS, LEAST = 1e5, 1e-6
+MOST_UNITS, LEAST_UNIT = 1e5, 1e-6
 ENOUGH = 1e-6  # a tolerance: a proof that excludes it ends the search
 
 
@@ -462,7 +462,7 @@ def distinct_units(units: Sequence[float]) -> Iterator[float]:
     """Yield the units that a linear program in an earlier unit cannot replace."""
     tried = list[float]()
     for unit in units:
-        if not any(LEAST * known <= unit <= MOST_UNITS * known for known in tried):
+        if not any(LEAST_UNIT * known <= unit <= MOST_UNITS * known for known in tried):
             tried.append(unit)
             yield unit
 

@@ -47,7 +47,7 @@ from ..core.algorithm import (
     Algorithm,
     IterationFacts,
 )
-from ..core.checks import Vector, read_only
+from ..core.checks import FloatMatrix, Vector, read_only
 from ..core.errors import UnsuitableMatrix, UnsuitableProblem
 from ..core.kernels.floats import EPSILON, TINY, UNDERFLOW
 from ..core.lcp import LCP
@@ -79,7 +79,7 @@ class RowBound(NamedTuple):
 
 def row_bound(facts: IterationFacts, problem: LCP) -> RowBound:
     """Return the bound of one sweep; L is the already updated part (for 𝓜: its entries)."""
-    (alpha, beta), diagonal = numbers(facts), problem.diagonal
+    (alpha, beta), diagonal = relaxation_numbers(facts), problem.diagonal
     scaling = np.ones(problem.n) if facts.scaling is None else facts.scaling
     theta, weight = scaling * diagonal, scaling / inverse_residual_scale(problem.matrix)
     if facts.family == PROJECTED_SPLITTING:
@@ -104,7 +104,7 @@ def row_bound(facts: IterationFacts, problem: LCP) -> RowBound:
     return RowBound(alpha * omega + 1.0, feedback, (case,))
 
 
-def numbers(facts: IterationFacts) -> tuple[float, float]:
+def relaxation_numbers(facts: IterationFacts) -> tuple[float, float]:
     """Return (α, β); (1, 1) if they are determined during the run, which has the theorem of Gauss–Seidel."""
     alpha, beta = facts.relaxation, facts.acceleration
     return 1.0 if alpha is None else float(alpha), 1.0 if beta is None else float(beta)
@@ -184,7 +184,7 @@ def gaps(bound: RowBound, v: Vector, sums: tuple[Vector, Vector], terms: int) ->
     return np.where(usable & ~np.isnan(smallest), np.minimum(smallest, 1.0), -np.inf)
 
 
-PAPER = "Kumar, Deepmala, Das"
+AUTHORS = "Kumar, Deepmala, Das"
 CRYER = "Cryer 1971, doi:10.1137/0309028; Mangasarian 1977, doi:10.1007/BF01268170"
 BAI = "Bai 2010, doi:10.1002/nla.680"
 LEVITIN = "Levitin, Polyak 1966, doi:10.1016/0041-5553(66)90114-5"
@@ -198,7 +198,6 @@ MOMENTUM = (
     "contracts (momentum=None has a rate)"
 )
 ULPS = 4.0 * EPSILON  # s = 1/d is rounded, also if it is subnormal
-FloatMatrix = np.ndarray[Any, np.dtype[np.float64]]
 
 
 @dataclass(frozen=True, eq=False)
@@ -269,8 +268,8 @@ def theorem_of(facts: IterationFacts) -> str:
     if facts.family == MODULUS:
         return f"M is an H₊-matrix and min(Ω, D) − |B| is an M-matrix or α(ℓ + u) < 1 ({BAI})"
     if facts.family == PROJECTED_SPLITTING:
-        return f"θ t < 1 and ℓ + u < 1 (Theorem 4.1 of {PAPER}, row by row)"
-    return f"θ(ℓ + u) < min(θ, θ/α + 2) and (β/α)θℓ < 1 (Theorem 4.2 of {PAPER}, row by row in one form for all D)"
+        return f"θ t < 1 and ℓ + u < 1 (Theorem 4.1 of {AUTHORS}, row by row)"
+    return f"θ(ℓ + u) < min(θ, θ/α + 2) and (β/α)θℓ < 1 (Theorem 4.2 of {AUTHORS}, row by row in one form for all D)"
 
 
 def theorem_4_1(M: FloatMatrix, splitting: FloatMatrix) -> tuple[float, Vector] | None:
@@ -361,7 +360,7 @@ def _full(problem: LCP, facts: IterationFacts) -> Guarantee:
         splitting: Any = facts.splitting
         bound = theorem_4_1(scaling * problem.csr.toarray(), scaling * splitting.toarray())
         if bound is not None:
-            known = f"ρ(T) < 1, certified by a vector (Theorem 4.1 of {PAPER})"
+            known = f"ρ(T) < 1, certified by a vector (Theorem 4.1 of {AUTHORS})"
             return Guarantee(GUARANTEED, known, *bound)
     theorem = _positive_definite(problem, facts)
     if theorem is not None:
@@ -398,7 +397,7 @@ def _positive_definite(problem: LCP, facts: IterationFacts) -> str | None:
     """Return the theorem on positive definite matrices that covers it; M is factorized only if that is possible."""
     if facts.family != PROJECTED_RELAXATION:
         return None
-    omega, beta = numbers(facts)
+    omega, beta = relaxation_numbers(facts)
     scaled_diagonal = problem.diagonal * inverse_residual_scale(problem.matrix)
     sums = np.add(*unit_triangle_sums(problem.matrix)) / scaled_diagonal
     largest_sum = float(np.max(sums, initial=0.0)) * (1.0 + 1e-12)  # above ℓ + u for v = 1

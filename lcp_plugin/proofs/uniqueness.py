@@ -7,17 +7,16 @@ import scipy.sparse as sp
 from numpy.typing import NDArray
 from scipy.linalg import null_space
 
+from ..core.checks import FloatMatrix
 from ..core.kernels.floats import EPSILON, NORMAL
 from ..core.lcp import LCP
 from ..systems.free_systems import CONSISTENT, LEAST_SQUARES_UP_TO
 from .bounds import ActiveRows
 from .farkas import linear_program
 
-Array = NDArray[np.float64]
-
 
 @np.errstate(all="ignore")
-def directions_of_solutions(problem: LCP, rows: ActiveRows) -> Array | None:
+def directions_of_solutions(problem: LCP, rows: ActiveRows) -> FloatMatrix | None:
     """Return directions, shape (n, k), that span all solutions near a solution; None for more than 500 rows.
 
     For d in a free row (M d)_i = 0, in a degenerate row d_i ≥ 0 and (M d)_i ≥ 0 at a lower bound, the mirror image at
@@ -57,13 +56,13 @@ def directions_of_solutions(problem: LCP, rows: ActiveRows) -> Array | None:
     return directions
 
 
-def moving(directions: Array) -> NDArray[np.intp]:
+def moving(directions: FloatMatrix) -> NDArray[np.intp]:
     """Return the numbers of the unknowns that differ in the solutions along these directions."""
     size = np.abs(directions).max(axis=1, initial=0.0)
     return np.flatnonzero(size > CONSISTENT * size.max(initial=0.0))
 
 
-def _null_space(matrix: Array, tolerance: float = 0.0) -> Array:
+def _null_space(matrix: FloatMatrix, tolerance: float = 0.0) -> FloatMatrix:
     """Return a basis of {y: matrix · y = 0}, as columns."""
     columns = np.abs(matrix).max(axis=0, initial=0.0)
     unit = 1.0 / np.where(columns > 0.0, np.maximum(columns, NORMAL), 1.0)
@@ -78,7 +77,7 @@ def _null_space(matrix: Array, tolerance: float = 0.0) -> Array:
     return np.asarray(basis / np.abs(basis).max(axis=0, initial=0.0))
 
 
-def _span(cone: Array) -> Array:
+def _span(cone: FloatMatrix) -> FloatMatrix:
     """Return a basis of the span of {y: cone · y ≥ 0}: a linear program finds the rows that are 0 in all of it."""
     size = np.abs(cone).max(axis=1, initial=0.0)
     cone = cone[size > CONSISTENT] / size[size > CONSISTENT, np.newaxis]

@@ -287,7 +287,7 @@ def positive_definite(matrix: Matrix) -> Verdict:
         return early
     what = "M" if symmetric(matrix).value else "the symmetric part of M"
     if not can_factorize(matrix):
-        return Verdict(None, _too_large(matrix))
+        return Verdict(None, _not_computed(matrix))
     value = is_positive_definite(symmetric_part_of(matrix)) if _is_well_rounded(matrix) else None
     if value is None and matrix.n <= exact.EXACT_SIZE:
         value = exact.has_nonnegative_pivots(exact.exact_symmetric_part(matrix.csr), is_strict=True)
@@ -311,7 +311,7 @@ def positive_semidefinite(matrix: Matrix) -> Verdict:
     if definite.value:
         return Verdict(True, "λ_min > 0: positive definite")
     if not can_factorize(matrix):
-        return Verdict(None, _too_large(matrix))
+        return Verdict(None, _not_computed(matrix))
     part = symmetric_part_of(matrix)
     value = definiteness.is_semidefinite_to_rounding(part) if _is_well_rounded(matrix) else None
     if value is not False and matrix.n <= exact.EXACT_SIZE:
@@ -416,7 +416,7 @@ def _is_well_rounded(matrix: Matrix) -> bool:
     return bool((diagonal >= 2.0**-960).all() and max_norm(entries) < definiteness.LARGEST_SUMMAND)
 
 
-def _too_large(matrix: Matrix) -> str:
+def _not_computed(matrix: Matrix) -> str:
     return f"not computed: n = {matrix.n} is too large for a factorization"
 
 

@@ -15,7 +15,7 @@ import numpy as np
 import scipy.sparse as sp
 from numpy.typing import NDArray
 
-from ..core.checks import Array, Arrays, Vector, freeze_csr
+from ..core.checks import Array, Arrays, Indices, Vector, freeze_csr
 from ..core.errors import InvalidOption, InvalidProblem, LCPError, UnreadableFile
 
 T = TypeVar("T")
@@ -139,17 +139,16 @@ def deferred_interruptions() -> Iterator[Callable[[], bool]]:
             signal.signal(signal.SIGINT, before)
 
 
-Integers = NDArray[Any]
 NOBODY = np.empty(0, np.int64)
 
 
 class ForeignRows(NamedTuple):
     """Rows of other ranks: entries per row, global columns, values, positions on their rank."""
 
-    counts: Integers
-    columns: Integers
+    counts: Indices
+    columns: NDArray[Any]
     values: Vector
-    places: Integers
+    places: Indices
 
 
 class Exchange:
@@ -164,7 +163,7 @@ class Exchange:
         Rank, and position on that rank, of each copied value.
     """
 
-    def __init__(self, comm: Any, count: int, places: Integers) -> None:
+    def __init__(self, comm: Any, count: int, places: Indices) -> None:
         self._comm, self._own = comm, count
         self._order = np.argsort(places[:, 0], kind="stable")
         self._received = np.bincount(places[:, 0], minlength=comm.size)
@@ -201,9 +200,9 @@ class Halo(Ranks):
         self,
         comm: Any,
         count: int,
-        ghosts: Integers = NOBODY,
-        entries: tuple[int, Integers] | None = None,
-        starts: Integers | None = None,
+        ghosts: Indices = NOBODY,
+        entries: tuple[int, Indices] | None = None,
+        starts: Indices | None = None,
     ) -> None:
         super().__init__(comm)
         self.starts = np.cumsum([0, *self.comm.allgather(int(count))]) if starts is None else starts
@@ -218,11 +217,11 @@ class Halo(Ranks):
         self._values = Exchange(self.comm, count, places)
         self._entries = None if entries is None else Exchange(self.comm, *entries)
 
-    def owners(self, indices: Integers) -> Integers:
+    def owners(self, indices: Indices) -> Indices:
         """Return the rank that owns each index."""
         return np.searchsorted(self.starts, indices, side="right") - 1
 
-    def is_foreign(self, indices: Integers) -> NDArray[np.bool_]:
+    def is_foreign(self, indices: NDArray[Any]) -> NDArray[np.bool_]:
         """Return the mask of the indices that belong to other ranks."""
         return (indices < self.first) | (indices >= self.last)
 
@@ -251,11 +250,11 @@ class Halo(Ranks):
 
     # --- a coarser grid ----------------------------------------------------------------------------------
 
-    def outside(self, columns: Integers) -> Integers:
+    def outside(self, columns: Indices) -> Indices:
         """Return the unknowns, global indices, that belong to other ranks, ascending."""
         return np.unique(columns[self.is_foreign(columns)]).astype(np.int64)
 
-    def local(self, columns: Integers, ghosts: Integers) -> Integers:
+    def local(self, columns: NDArray[Any], ghosts: Indices) -> NDArray[np.int32]:
         """Return local indices: local unknowns from 0 on, then ghosts in order, 0 for others."""
         local = (columns - self.first).astype(np.int32)
         is_foreign = self.is_foreign(columns)
@@ -276,7 +275,7 @@ class Halo(Ranks):
         foreign = self._foreign_rows(self.ghosts, indptr, data, lambda places: columns[places])
         return _appended(rows, foreign)
 
-    def overlapped(self, rows: Arrays, ghosts: Integers, further: Integers) -> tuple[Arrays, Halo]:
+    def overlapped(self, rows: Arrays, ghosts: Indices, further: Indices) -> tuple[Arrays, Halo]:
         """Return the local rows, then the rows of adjacent ghosts, and the halo of the columns.
 
         Parameters
@@ -306,7 +305,7 @@ class Halo(Ranks):
             indices = indices.copy()
             indices[at] = count + np.searchsorted(near, met)
 
-        def global_columns(places: Integers) -> Integers:
+        def global_columns(places: Indices) -> Indices:
             columns = indices[places].astype(np.int64)
             is_foreign = columns >= count
             columns[~is_foreign] += self.first
@@ -326,7 +325,7 @@ class Halo(Ranks):
         return rows, Halo(self.comm, count, all_ghosts, (data.size, entries), self.starts)
 
     def _foreign_rows(
-        self, wanted: Integers, indptr: Integers, data: Vector, columns: Callable[..., Integers]
+        self, wanted: Indices, indptr: Indices, data: Vector, columns: Callable[..., Indices]
     ) -> ForeignRows:
         """Return the rows `wanted`, global indices in any order; all ranks call.
 
@@ -354,7 +353,7 @@ class Halo(Ranks):
         take = _ranges(begins[place_of], counts)
         return ForeignRows(counts, parts[1][take], parts[2][take], parts[3][take])
 
-    def _dependents(self, rows: Integers, met: Integers) -> Integers:
+    def _dependents(self, rows: Indices, met: Indices) -> Indices:
         """Return the ghosts whose rows have local columns; local `rows` have the columns `met`."""
         owners = self.owners(met)
         sent = [np.unique(rows[owners == rank]) for rank in range(self.size)]
@@ -370,7 +369,7 @@ def _appended(rows: Arrays, foreign: ForeignRows) -> Arrays:
     )
 
 
-def _ranges(begins: Integers, counts: Integers) -> Integers:
+def _ranges(begins: Indices, counts: Indices) -> Indices:
     """Return begins[0], begins[0] + 1, … counts[0] of them, then the same for the next."""
     return np.repeat(begins - (np.cumsum(counts) - counts), counts) + np.arange(int(counts.sum()))
 

@@ -20,7 +20,7 @@ from ..methods.small import GUESSED, Rounds, fails_surely, measure_small
 from .dispatch import parse_call
 from .result import NOTHING_TO_DO, Callback, Result, StageRecord, end_at_once, with_samples
 
-ROUNDS = Rounds()
+FIRST_METHOD = Rounds()
 
 
 @np.errstate(all="ignore")
@@ -47,7 +47,9 @@ def solve_lcp(
     clock = Clock()
     method, settings = parse_call(algorithm, options)
     start = checked_start(problem, z0)
-    first = (ROUNDS if method is None else method).first_points(problem, start, settings.tolerance)
+    first = (FIRST_METHOD if method is None else method).first_points(
+        problem, start, settings.tolerance
+    )
     if first is not None:
         first = measured_steps(problem, first, start, settings)
         if not settings.verbose:
@@ -103,7 +105,7 @@ def records_of(steps: list[Step], method: Algorithm | None) -> tuple[StageRecord
         parts = [*group]
         iterations = sum(step.iterations != 0 for step in parts)
         work = sum(step.work for step in parts)
-        records.append(StageRecord(label or (method or ROUNDS).name, "", iterations, work))
+        records.append(StageRecord(label or (method or FIRST_METHOD).name, "", iterations, work))
     because = "" if method else GUESSED
     records[0] = records[0]._replace(
         because=because if steps[-1].iterations != 0 else NOTHING_TO_DO

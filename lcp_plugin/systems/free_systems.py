@@ -112,7 +112,7 @@ def solved(blocks: AnyMatrix, right: Vector) -> Any:
         return x
 
 
-def products(M: AnyMatrix, x: Vector) -> Any:
+def matvecs(M: AnyMatrix, x: Vector) -> Any:
     """Return M_k x_k, shapes (k or 1, m, n) and (k, n)."""
     return np.matmul(M, x[:, :, np.newaxis])[:, :, 0]
 
@@ -159,7 +159,7 @@ class FreeBlocks:
         x = np.zeros(right.shape)
         for items, rows, inverses in self._groups:
             turned = inverses.swapaxes(1, 2) if transposed else inverses
-            x[items, rows] = products(turned, right[items, rows])
+            x[items, rows] = matvecs(turned, right[items, rows])
         return x
 
 

@@ -125,7 +125,7 @@ def bandwidth(matrix: Matrix) -> tuple[int, int] | None:
     return (max(0, -int(offsets.min())), max(0, int(offsets.max()))) if offsets.size else (0, 0)
 
 
-Solver = Callable[[Vector], Vector]
+BlockSolver = Callable[[Vector], Vector]
 
 
 class ComparisonMatrix:
@@ -158,7 +158,7 @@ class ComparisonMatrix:
         return build_hierarchy(self.matrix)
 
     @cached_property
-    def direct_solver(self) -> Solver | None:
+    def direct_solver(self) -> BlockSolver | None:
         """Rhs ↦ matrix⁻¹ rhs by a factorization; None if the matrix is singular or too large."""
         if not factor_fits(self.matrix):
             return None

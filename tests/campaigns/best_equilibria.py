@@ -20,7 +20,7 @@ import numpy as np
 from scipy.optimize import linprog
 
 from lcp_plugin import EquilibriumProgram, QuadraticProgram, Status
-from lcp_plugin.problems.equilibria.equilibrium_program import BETWEEN, CASES, LOWER
+from lcp_plugin.problems.equilibria.equilibrium_program import CASES, FREE_CASE, LOW_CASE
 
 from .outliers import by_clarabel
 
@@ -131,9 +131,9 @@ def bounds(problem: EquilibriumProgram, cases: list[int]) -> tuple[np.ndarray, n
         own_lower, own_upper = problem.lower[i], problem.upper[i]
         lower[z], upper[z] = max(lower[z], own_lower), min(upper[z], own_upper)
         case = cases[i] if i < len(cases) else 0
-        if case == LOWER:
+        if case == LOW_CASE:
             upper[z], lower[w] = min(upper[z], own_lower), max(lower[w], 0.0)
-        elif case == BETWEEN:
+        elif case == FREE_CASE:
             lower[w], upper[w] = max(lower[w], 0.0), min(upper[w], 0.0)
         elif case:
             lower[z], upper[w] = max(lower[z], own_upper), min(upper[w], 0.0)

@@ -23,7 +23,7 @@ from lcp_plugin import LCP, Status, gallery, solve
 from lcp_plugin.algorithms import REGISTRY, algorithm_class
 from lcp_plugin.engines import ENGINES, engine_class
 from lcp_plugin.interfaces.nl import write_nl
-from lcp_plugin.problems.cones.methods import METHODS
+from lcp_plugin.problems.cones.methods import CONE_METHODS
 
 BOX = LCP(
     [[2.0, 1.0, 0.0], [1.0, 2.0, 0.0], [0.0, 0.0, 1.0]],
@@ -328,12 +328,12 @@ def test_list_shows_everything_there_is():
     rows = re.findall(r"^ (\w+) {2,}\S", done.stdout.partition("Algorithms")[2], re.MULTILINE)
     assert [row for row in rows if row != "name"] == [
         *REGISTRY,
-        *METHODS,
+        *CONE_METHODS,
         *ENGINES,
         *gallery.names(),
     ]
     assert all(algorithm_class(name).reference in done.stdout for name in REGISTRY)
-    assert all(kind.reference in done.stdout for kind in METHODS.values())
+    assert all(kind.reference in done.stdout for kind in CONE_METHODS.values())
     assert all(engine_class(name).reference in done.stdout for name in ENGINES)
     for _, _, parameters in gallery.describe():
         for key, value in parameters.items():

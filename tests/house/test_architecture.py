@@ -34,8 +34,17 @@ LAZY = 16  # imports of package files inside functions, which are for weight
 # lines with vars(…) or __dict__: what they write, a reader does not find by its name
 MOST_WRITES = 10
 LARGE = 150  # lines of code, without docstrings, that a reader holds together
+# names that play one role in several files: the reader who knows one knows all
+ROLES = {
+    **dict.fromkeys(("solve", "analyze", "solve_lcp", "solve_stack"), "a verb, its command, JAX's"),
+    **dict.fromkeys(("main", "run"), "the start of a command"),
+    **dict.fromkeys(("certify_model", "solve_model"), "of models of cvxpy, of Pyomo"),
+    **dict.fromkeys(("lcp_layer", "qp_layer", "contact_layer"), "of JAX, of PyTorch"),
+    **dict.fromkeys(("criterion_at", "verdict_at", "first_point"), "of a problem class"),
+    "ADVICE": "texts of the statuses of a problem class",
+}
 MOST_OF_ANY = 780  # signatures that say ": Any": a class or a protocol says more
-MOST_CONSTANTS = 228  # numbers with a name: a reader has to carry each from file to file
+MOST_CONSTANTS = 226  # numbers with a name: a reader has to carry each from file to file
 
 
 def module_of(file: Path) -> str:
@@ -131,6 +140,37 @@ def values_of_constants() -> dict[str, set[float]]:
     for _, _, name, value in constants():
         found[name].add(value)
     return found
+
+
+def definitions() -> Iterator[tuple[str, str]]:
+    """Yield (name, text) of the functions, classes, constants and aliases that modules define at their top level."""
+    for node in (node for file in FILES.values() for node in parsed(file).body):
+        if isinstance(node, ast.FunctionDef | ast.ClassDef):
+            yield node.name, f"{node.lineno} {ast.unparse(node)}"
+        elif isinstance(node, ast.Assign | ast.AnnAssign) and node.value:
+            targets = node.targets if isinstance(node, ast.Assign) else [node.target]
+            for target in targets:
+                is_several = isinstance(target, ast.Tuple) and isinstance(node.value, ast.Tuple)
+                pairs = (
+                    zip(target.elts, node.value.elts, strict=True)
+                    if is_several
+                    else [(target, node.value)]
+                )
+                yield from ((ast.unparse(one), ast.unparse(value)) for one, value in pairs)
+
+
+def names_with_two_meanings() -> list[str]:
+    """Return the names that modules define with different texts, except roles, ``__all__`` and the like."""
+    texts: dict[str, set[str]] = defaultdict(set)
+    for name, text in definitions():
+        texts[name].add(text)
+    twice = [name for name, found in texts.items() if len(found) > 1]
+    return sorted(name for name in twice if name not in ROLES and not name.startswith("__"))
+
+
+def test_a_name_means_one_thing():
+    """A name, public or private, is defined with one text in all modules, or has one role in them."""
+    assert names_with_two_meanings() == []
 
 
 def test_a_number_has_one_name_and_one_value():
@@ -288,6 +328,7 @@ def print_numbers() -> None:
     print(f"numeric module constants: {sum(map(len, values.values()))}")
     twice = {name: found for name, found in values.items() if len(found) > 1}
     print(f"names with several values: {len(twice)}", *sorted(twice))
+    print("names with two meanings:", *names_with_two_meanings())
     texts = [file.read_text(encoding="utf-8") for file in FILES.values()]
     for words in (r"\bvars\(", r"\b__dict__\b", r": Any\b"):
         print(f"{words}: {sum(len(re.findall(words, text)) for text in texts)}")

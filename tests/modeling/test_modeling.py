@@ -15,7 +15,7 @@ from tools.processes import printed_by
 from tools.refusals import assert_refused, refusals
 
 from lcp_plugin import LCP, ModelWarning, UnsupportedModel, box, complements, optimal, solve
-from lcp_plugin.modeling.registration import build, is_complementarity_problem
+from lcp_plugin.modeling.registration import is_complementarity_problem, model_of_constraints
 
 M = np.array([[4.0, -1.0, 0.0], [-1.0, 4.0, -1.0], [0.0, -2.0, 4.0]])
 Q = np.array([-3.0, 5.0, -4.0])
@@ -102,7 +102,7 @@ def test_two_affine_sides_get_a_slack():
     x = cp.Variable(2)
     A, B = np.array([[3.0, 1.0], [0.0, 2.0]]), np.array([[2.0, 0.5], [0.5, 3.0]])
     pair = complements(A @ x - [1.0, 4.0] >= 0, B @ x - [2.0, 1.0] >= 0)
-    assert build([pair]).problem.n == 4
+    assert model_of_constraints([pair]).problem.n == 4
     problem = model(pair, algorithm="npsor", scaling="diagonal", max_iterations=20000)
     assert problem.status == "optimal"
     assert pair.violation() < 1e-9

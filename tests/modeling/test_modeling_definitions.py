@@ -15,7 +15,7 @@ from pyomo.mpec import complements as pyomo_complements
 
 import lcp_plugin.pyomo  # noqa: F401 - registers the solver
 from lcp_plugin import complements
-from lcp_plugin.modeling.registration import build
+from lcp_plugin.modeling.registration import model_of_constraints
 
 N = 6
 
@@ -46,7 +46,7 @@ def test_a_defined_slack_leaves_the_problem_of_x_alone(side, order):
     equation = {"w == F": w == F, "-3 w == -3 F": -3 * w == -3 * F, "first": w == F}[side]
     pair = complements(x >= 0, w >= 0) if order == 0 else complements(w >= 0, x >= 0)
     constraints = [equation, pair] if side == "first" else [pair, equation]
-    model = build(constraints)
+    model = model_of_constraints(constraints)
     np.testing.assert_allclose(model.problem.csr.toarray(), M, rtol=1e-15)
     np.testing.assert_allclose(model.problem.q, q, rtol=1e-15)
     solved(constraints)
@@ -63,7 +63,7 @@ def test_chains_in_any_order():
     equations = [w == v + q - 1, v == 2 * u + 1, M @ x == 2 * u]
     for order in ([0, 1, 2], [2, 1, 0], [1, 0, 2]):
         constraints = [*(equations[k] for k in order), complements(x >= 0, w >= 0)]
-        model = build(constraints)
+        model = model_of_constraints(constraints)
         assert model.problem.n == N
         solved(constraints)
         np.testing.assert_allclose(x.value, x_true, atol=1e-9)
@@ -78,7 +78,7 @@ def test_a_definition_that_would_fill_the_matrix_stays():
     x, mean = cp.Variable(n), cp.Variable()
     D = sp.diags_array([np.full(n, 3.0), -np.ones(n - 1)], offsets=[0, 1], format="csr")
     constraints = [complements(x >= 0, D @ x + mean - 1 >= 0), mean == cp.sum(x) / n]
-    model = build(constraints)
+    model = model_of_constraints(constraints)
     assert model.problem.nonzeros < 10 * n
     solved(constraints)
     assert float(mean.value) == pytest.approx(float(np.mean(x.value)), abs=1e-8)

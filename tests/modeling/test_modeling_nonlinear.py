@@ -30,7 +30,7 @@ from lcp_plugin import (
 from lcp_plugin.expressions import functions
 from lcp_plugin.expressions.rows import Program
 from lcp_plugin.modeling.reading import Reader
-from lcp_plugin.modeling.registration import build, is_complementarity_problem
+from lcp_plugin.modeling.registration import is_complementarity_problem, model_of_constraints
 
 STEP = 1e-200  # of complex differentiation, which has no subtraction and so no cancellation
 B = np.array([[1.0, 0.5, 0.0], [-0.25, 2.0, 1.0], [0.0, 1.0, 3.0]])
@@ -329,7 +329,9 @@ def test_start_is_the_value_of_the_variables():
 def test_affine_models_stay_lcps():
     """A constant exponential, a product with a parameter and a first power are affine."""
     x, p = cp.Variable(3), cp.Parameter(value=2.0)
-    model = build([complements(x >= 0, cp.exp(p) * x + cp.power(x, 1) - cp.square(p) >= 0)])
+    model = model_of_constraints(
+        [complements(x >= 0, cp.exp(p) * x + cp.power(x, 1) - cp.square(p) >= 0)]
+    )
     assert not isinstance(model.problem, NonlinearProblem)
 
 

@@ -13,7 +13,7 @@ import scipy.sparse as sp
 
 from lcp_plugin.interfaces.nl.expressions import NAMES, OPERATORS, evaluated_tree
 from lcp_plugin.interfaces.nl.reading import WITH_TOLERANCE, NLContent, Tree, number_tree
-from lcp_plugin.interfaces.nl.writing import OPTIONS
+from lcp_plugin.interfaces.nl.writing import OPTIONS_LINE
 
 SUMS: dict[str, Any] = {"+": lambda *a: sum(a), "-": operator.sub, "unary -": operator.neg}
 
@@ -97,7 +97,7 @@ class SolContent(NamedTuple):
 def read_sol(path: Path) -> SolContent:
     """Return the content of a ``.sol`` file in text."""
     lines = path.read_text(encoding="utf-8").splitlines()
-    begin = next(k for k, line in enumerate(lines) if line.strip() == OPTIONS)
+    begin = next(k for k, line in enumerate(lines) if line.strip() == OPTIONS_LINE)
     message = "\n".join(line for line in lines[:begin] if line.strip())
     rest = iter(lines[begin + 1 :])
     count, *options = (int(next(rest)) for _ in range(3))

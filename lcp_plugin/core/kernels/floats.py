@@ -10,6 +10,7 @@ EPSILON = 2.0**-52  # from 1 to the next double
 UNIT = 2.0**-53  # the largest relative error of one rounding
 TINY = 2.0**-1074  # the smallest positive double; a product that underflows is wrong by up to this
 NORMAL = 2.0**-1022  # the smallest normal double: below it the next double is TINY away
+INF = float("inf")
 LARGEST = 1.7976931348623157e308  # the largest double
 # 2⁸ EPSILON: as many roundings as a time step or an assembly adds up, with a margin
 DATA_ROUNDING = 2.0**-44

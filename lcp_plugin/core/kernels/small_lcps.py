@@ -10,10 +10,9 @@ from __future__ import annotations
 import math
 
 from .compilation import kernel
-from .floats import FREE, HIGH, LOW, PERTURBED, SMALLEST_PIVOT
+from .floats import FREE, HIGH, INF, LOW, PERTURBED, SMALLEST_PIVOT
 
 LOST = -1  # first side of a path without end
-INF = math.inf
 
 
 @kernel

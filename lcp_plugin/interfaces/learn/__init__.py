@@ -154,7 +154,7 @@ class Layer(ABC):
         self.data, self.axes = data, self.axes_of(*(array.shape for array in data))
         n = data[1].shape[-1]
         has_start = self.takes_start and z0 is not None
-        start = {"z0": stacked(z0, self.axes, (n,))} if has_start else {}
+        start = {"z0": as_stack(z0, self.axes, (n,))} if has_start else {}
         answers = self._solved(self.axes, data, self.options | start)
         self.derivative: Any = self._differentiated(answers)
         errors = self.derivative.errors
@@ -223,7 +223,7 @@ class LCPLayer(Layer):
 
     def _solved(self, axes: tuple[int, ...], data: Sequence[Any], options: Any) -> BatchAnswers:
         shape = data[1].shape[-1:]
-        q, lower, upper = (stacked(array, axes, shape) for array in data[1:])
+        q, lower, upper = (as_stack(array, axes, shape) for array in data[1:])
         M = matrices(data[0], axes) if self.M is None else self.M
         return solve_batch(M, q, lower=lower, upper=upper, **options)
 
@@ -264,15 +264,15 @@ class QPLayer(Layer):
         arrays = 0.5 * (data[0] + data[0].swapaxes(-1, -2)), data[2], data[4]
         P, G, A = (matrices(array, axes) for array in arrays)
         shapes = self.problem_shapes(*(array.shape for array in data))
-        vectors = [stacked(data[k], axes, shapes[k]) for k in (1, 3, 5, 6, 7)]
+        vectors = [as_stack(data[k], axes, shapes[k]) for k in (1, 3, 5, 6, 7)]
         named = [dict(zip(VECTORS, rows, strict=True)) for rows in zip(*vectors, strict=True)]
         if P.ndim == G.ndim == A.ndim == 2:
             c, h, b = (np.zeros(rows.shape[1]) for rows in vectors[:3])
             base = QuadraticProgram(P, c, G, h, A, b)
             programs = programs_for(base, named)
         else:
-            stacks = ([*stacked(array, axes, array.shape[-2:])] for array in arrays)
-            programs = [*map(_program, *stacks, named)]
+            stacks = ([*as_stack(array, axes, array.shape[-2:])] for array in arrays)
+            programs = [*map(_attempt, *stacks, named)]
             good = [program for program in programs if isinstance(program, QuadraticProgram)]
             if not good:
                 raise programs[0]  # type: ignore[misc]
@@ -288,7 +288,7 @@ class QPLayer(Layer):
         return derivative(answers).one_sided()
 
 
-def _program(P: Array, G: Array, A: Array, vectors: dict[str, Any]) -> QuadraticProgram | LCPError:
+def _attempt(P: Array, G: Array, A: Array, vectors: dict[str, Any]) -> QuadraticProgram | LCPError:
     """Return a program, or its error."""
     try:
         return QuadraticProgram(P, G=G, A=A, **vectors)
@@ -311,13 +311,13 @@ class ContactLayer(Layer):
     def _solved(self, axes: tuple[int, ...], data: Sequence[Any], options: Any) -> BatchAnswers:
         W, b, friction = data
         of_problem = {name: options.pop(name) for name in options.keys() & {*self.of_problem}}
-        b = stacked(b, axes, b.shape[-1:])
-        friction = stacked(friction, axes, friction.shape[-1:]) if friction.ndim else friction
+        b = as_stack(b, axes, b.shape[-1:])
+        friction = as_stack(friction, axes, friction.shape[-1:]) if friction.ndim else friction
         problem = FrictionalContact.worlds(matrices(W, axes), b, friction, **of_problem)
         return solve_batch(problem, **options)
 
 
-def stacked(array: Array, axes: tuple[int, ...], shape: tuple[int, ...]) -> Any:
+def as_stack(array: Array, axes: tuple[int, ...], shape: tuple[int, ...]) -> Any:
     """Return an array with one axis in place of these axes in front of the axes of a problem."""
     return np.broadcast_to(array, (*axes, *shape)).reshape(math.prod(axes), *shape)
 
@@ -325,7 +325,7 @@ def stacked(array: Array, axes: tuple[int, ...], shape: tuple[int, ...]) -> Any:
 def matrices(M: Array, axes: tuple[int, ...]) -> Any:
     """Return one matrix for all problems, or a stack of matrices."""
     shape = M.shape[-2:]
-    return M.reshape(shape) if math.prod(M.shape[:-2]) == 1 else stacked(M, axes, shape)
+    return M.reshape(shape) if math.prod(M.shape[:-2]) == 1 else as_stack(M, axes, shape)
 
 
 def _first(

@@ -30,7 +30,7 @@ from . import ContactLayer, Layer, LayerCall, LCPLayer, QPLayer
 
 __all__ = ["contact_layer", "lcp_layer", "qp_layer", "solve_lcp"]
 
-Statement = Callable[
+LCPArrays = Callable[
     ..., tuple[Any, ...]
 ]  # of arrays: M, q and bounds of LCPs, and which of them are suitable
 
@@ -95,8 +95,8 @@ def lcp_layer(
     [[-0.5, 0.0], [0.0, -0.5]]
     """
     require_double(jax, "lcp_layer")
-    call = LCPLayer.of(_array, M, q, (lower, upper), mask=mask, **options)
-    return _broadcast_solution(call, None if issparse(M) else _lcp, fallback)
+    call = LCPLayer.of(_float_array, M, q, (lower, upper), mask=mask, **options)
+    return _broadcast_solution(call, None if issparse(M) else _all_suited, fallback)
 
 
 def qp_layer(
@@ -146,7 +146,7 @@ def qp_layer(
     require_double(jax, "qp_layer")
     data = dict(P=P, c=c, G=G, h=h, A=A, b=b, lower=lower, upper=upper)
     return _broadcast_solution(
-        QPLayer.of(_array, data, mask=mask, **options), _conditions, fallback
+        QPLayer.of(_float_array, data, mask=mask, **options), _conditions, fallback
     )
 
 
@@ -181,11 +181,11 @@ def contact_layer(W: Any, b: Any, friction: Any, *, mask: bool = False, **option
     [-5.0]
     """
     require_double(jax, "contact_layer")
-    return _broadcast_solution(ContactLayer.of(_array, W, b, friction, mask=mask, **options))
+    return _broadcast_solution(ContactLayer.of(_float_array, W, b, friction, mask=mask, **options))
 
 
 def _broadcast_solution(
-    call: LayerCall, statement: Statement | None = None, fallback: str | None = None
+    call: LayerCall, statement: LCPArrays | None = None, fallback: str | None = None
 ) -> Any:
     """Return the solutions, with a mask if the layer has one; `vmap` needs arrays with all batch axes."""
     if fallback not in (None, "host"):
@@ -217,7 +217,7 @@ def _broadcast_solution(
     return solution if layer.mask else solution[0]
 
 
-def _lcp(*data: Array) -> tuple[Any, ...]:
+def _all_suited(*data: Array) -> tuple[Any, ...]:
     return *data, True
 
 
@@ -279,7 +279,7 @@ def _solution_backward(
 _solution.defvjp(_solution_forward, _solution_backward)
 
 
-def _array(values: Array, name: str) -> Any:
+def _float_array(values: Array, name: str) -> Any:
     """Return the values as a float64 array, of numpy if they are constants; other float types are rejected."""
     if not has_arrays(values):
         return real_array(values, f"{name} must be an array of real numbers")

@@ -64,7 +64,7 @@ def lcp_layer(
     >>> q.grad.tolist()
     [[-0.5, 0.0], [0.0, -0.5]]
     """
-    return _solution(LCPLayer.of(_tensor, M, q, (lower, upper), mask=mask, **options))
+    return _solutions(LCPLayer.of(_tensor, M, q, (lower, upper), mask=mask, **options))
 
 
 def qp_layer(
@@ -116,7 +116,7 @@ def qp_layer(
     [[-0.5, 0.5], [-1.0, 0.0]]
     """
     data = dict(P=P, c=c, G=G, h=h, A=A, b=b, lower=lower, upper=upper)
-    return _solution(QPLayer.of(_tensor, data, mask=mask, **options))
+    return _solutions(QPLayer.of(_tensor, data, mask=mask, **options))
 
 
 def contact_layer(
@@ -158,10 +158,10 @@ def contact_layer(
     """
     if z0 is not None:
         options["z0"] = _numpy(_tensor(z0, "z0"))
-    return _solution(ContactLayer.of(_tensor, W, b, friction, mask=mask, **options))
+    return _solutions(ContactLayer.of(_tensor, W, b, friction, mask=mask, **options))
 
 
-def _solution(call: LayerCall) -> Any:
+def _solutions(call: LayerCall) -> Any:
     """Return the solutions, with a mask if the layer has one."""
     layer, data = call
     solution = _Solution.apply(layer, *data)

@@ -17,13 +17,13 @@ from typing import Any, TypeVar
 import numpy as np
 import scipy.sparse as sp
 
-from ...core.checks import Vector
+from ...core.checks import Indices, Vector
 from ...core.entries import entries_of_row
 from ...core.errors import UnsupportedModel
 from ...expressions import functions
 from ...expressions.functions import Function
 from ...expressions.rows import Compiler, Rows
-from .reading import OPERATOR_NAMES, Indices, NLContent, Tree, variables_in
+from .reading import OPERATOR_NAMES, NLContent, Tree, variables_in
 
 T = TypeVar("T")
 REMEDIES = {
@@ -296,7 +296,7 @@ class Expressions:
         self.offset[: linear.shape[0]] += linear @ np.where(is_known, known, 0.0)
         linear = linear[:, ~is_known]
         linear.resize((len(sums), self.unknowns.size + count))
-        self.matrix = sp.csr_array(linear + _matrix(sums, self.place, linear.shape))
+        self.matrix = sp.csr_array(linear + _matrix_of_sums(sums, self.place, linear.shape))
         self.matrix.eliminate_zeros()
         # First column of each source: the unknowns, then each group of one function on one level.
         begins = [k for k in range(count) if k == 0 or keys[order[k]] != keys[order[k - 1]]]
@@ -341,7 +341,7 @@ class Expressions:
         return Rows(blocks, self.offset[numbers], (numbers.size,), level)
 
 
-def _matrix(sums: list[Sum], place: Indices, shape: tuple[int, int]) -> sp.csr_array:
+def _matrix_of_sums(sums: list[Sum], place: Indices, shape: tuple[int, int]) -> sp.csr_array:
     """Return the terms of sums, one row each, with their columns mapped by `place`."""
     terms = [combination.terms for combination in sums]
     columns = np.array([*chain.from_iterable(terms)], dtype=np.int64)

@@ -17,7 +17,7 @@ import numpy as np
 import scipy.sparse as sp
 
 from ... import __version__
-from ...core.checks import BoolVector, Vector, fill, normalize_bounds
+from ...core.checks import BoolVector, Indices, Vector, fill, normalize_bounds
 from ...core.errors import InvalidProblem, UnsupportedModel
 from ...core.lcp import LCP
 from ...core.names import format_count
@@ -38,7 +38,7 @@ from ...problems.statement import STATUS_ELSEWHERE, SquareModel, Statement, solv
 from ...solving.dispatch import solve
 from ...solving.result import Outcome, Result
 from .expressions import UNKNOWNS, Expressions
-from .reading import Indices, NLContent, read_content, variables_in
+from .reading import NLContent, read_content, variables_in
 
 SIDE_CONDITION = 1e-6  # by which a side condition may be violated, or ten times the tolerance
 

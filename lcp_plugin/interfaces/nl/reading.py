@@ -21,7 +21,7 @@ import numpy as np
 import scipy.sparse as sp
 from numpy.typing import NDArray
 
-from ...core.checks import INFINITE_LIMIT, Vector
+from ...core.checks import INFINITE_LIMIT, Indices, Vector
 from ...core.errors import UnreadableFile, UnsupportedModel
 from ...core.files import checked_path, opened, read_number
 from ...core.names import Names
@@ -120,11 +120,10 @@ class BinaryFormReader(_Form):
         return begin
 
 
-Indices = NDArray[np.int64]
 NARY, PIECEWISE = (-1, -2)  # instead of a number of operands: that follows; a number of slopes does
 
 
-def _table(text: str) -> dict[int, str]:
+def _by_number(text: str) -> dict[int, str]:
     """Return names by numbers."""
     pairs = (entry.strip().partition(" ") for entry in text.split(","))
     return {int(number): name for number, _, name in pairs}
@@ -132,20 +131,20 @@ def _table(text: str) -> dict[int, str]:
 
 #: AMPL's operators by how many operands they have.
 OPERATOR_NAMES: dict[int, dict[int, str]] = {
-    1: _table(
+    1: _by_number(
         "13 floor, 14 ceil, 15 abs, 16 unary -, 34 not, 37 tanh, 38 tan, 39 sqrt, 40 sinh, 41 sin, 42 log10, 43 log, "
         "44 exp, 45 cosh, 46 cos, 47 atanh, 49 atan, 50 asinh, 51 asin, 52 acosh, 53 acos, 77 square"
     ),
-    2: _table(
+    2: _by_number(
         "0 +, 1 -, 2 *, 3 /, 4 mod, 5 ^, 6 less, 20 or, 21 and, 22 <, 23 <=, 24 =, 28 >=, 29 >, 30 <>, 48 atan2, "
         "55 div, 56 precision, 57 round, 58 trunc, 62 atleast, 63 atmost, 66 exactly, 67 not atleast, 68 not atmost, "
         "69 not exactly, 73 <==>, 76 ^, 78 ^"
     ),
-    3: _table("35 if, 65 if, 72 ==>"),
-    NARY: _table(
+    3: _by_number("35 if, 65 if, 72 ==>"),
+    NARY: _by_number(
         "11 min, 12 max, 54 +, 59 count, 60 numberof, 61 numberof, 70 forall, 71 exists, 74 alldiff, 75 not alldiff"
     ),
-    PIECEWISE: _table("64 piecewise-linear term"),
+    PIECEWISE: _by_number("64 piecewise-linear term"),
 }
 ARITY = {number: arity for arity, names in OPERATOR_NAMES.items() for number in names}
 PARTNER = 5  # the kind of a complementarity row
@@ -254,8 +253,8 @@ ENDING = ".nl"
 HEADS = {letter: k for k, group in enumerate(("br", "CLkKxd", "OGJS", "VF")) for letter in group}
 SKIPPED = {"k": "i", "K": "i", "d": "id", "S": "ii"}  # entries of columns, multipliers, suffixes
 #: The numbers behind a letter in bytes: of a number, and of the kind of a bound.
-NUMBERS = {"n": "d", "l": "i", "s": "h"}
-BOUNDS = {"0": "dd", "1": "d", "2": "d", "3": "", "4": "d", "5": "ii"}
+NUMBER_FORMATS = {"n": "d", "l": "i", "s": "h"}
+BOUND_FORMATS = {"0": "dd", "1": "d", "2": "d", "3": "", "4": "d", "5": "ii"}
 NO_SEGMENT = f"no segment begins here; the letters are {' '.join(HEADS)}"
 NO_PART = "a part of an expression is needed here"
 HAVE_LOWER, HAVE_UPPER = (0, 2, 4), (0, 1, 4)  # kinds of bounds
@@ -452,8 +451,8 @@ class _Reader:
     def _token(self, variables: int) -> tuple[str, float, int]:
         """Return the next part of an expression: its kind, its value and how many operands follow."""
         source, letter = self.source, self.source.letter()
-        if letter in NUMBERS:
-            value = float(source.behind(NUMBERS[letter])[0])
+        if letter in NUMBER_FORMATS:
+            value = float(source.behind(NUMBER_FORMATS[letter])[0])
             if not math.isfinite(value):
                 source.fail("a number is not finite")
             return "n", value, 0
@@ -493,9 +492,9 @@ class _Reader:
         header, partners = self.header, set[int]()
         for _ in range(header.variables if letter == "b" else header.rows):
             letter_of_kind = self.source.letter()
-            if letter_of_kind not in BOUNDS:
+            if letter_of_kind not in BOUND_FORMATS:
                 self.source.fail(f"a bound's kind is 0 to {PARTNER}")
-            kind, numbers = int(letter_of_kind), self.source.behind(BOUNDS[letter_of_kind])
+            kind, numbers = int(letter_of_kind), self.source.behind(BOUND_FORMATS[letter_of_kind])
             if kind == PARTNER:
                 finite, variable = numbers
                 self._check_partner(letter, finite, variable, partners)

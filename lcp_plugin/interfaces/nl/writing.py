@@ -225,7 +225,7 @@ def _groups(content: NLContent) -> tuple[int, int, tuple[int, int, int, int]]:
     return first, first, (others, inner, 0, 0)
 
 
-OPTIONS = "Options"
+OPTIONS_LINE = "Options"
 
 
 def write_sol(
@@ -251,13 +251,13 @@ def write_sol(
     m, n = content.row_lower.size, content.lower.size
     # A blank line ends the message, and also a line that starts with Options.
     lines = [line.rstrip() or " " for line in message.strip().splitlines()]
-    lines = [f"- {line}" if line.lstrip().startswith(OPTIONS) else line for line in lines]
+    lines = [f"- {line}" if line.lstrip().startswith(OPTIONS_LINE) else line for line in lines]
     lines.append("")
     if options[0]:
         has_tolerance = len(options) > 2 and options[2] == WITH_TOLERANCE
         counts = m, len(vectors[0]), n, len(vectors[1])
         numbers = options[0] + 2 * has_tolerance, *options[1 : options[0] + 1], *counts
-        lines += [OPTIONS, *map(str, numbers)]
+        lines += [OPTIONS_LINE, *map(str, numbers)]
         lines += [repr(float(content.tolerance or 0.0))] * has_tolerance
     lines += [*map(repr, vectors[0] + vectors[1]), f"objno 0 {code}", ""]
     write_whole({target: lambda file: file.write("\n".join(lines).encode())})

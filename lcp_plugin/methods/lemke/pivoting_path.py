@@ -15,7 +15,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from ...core.checks import Array, Vector
+from ...core.checks import Array, FloatMatrix, Indices, Vector
 from ...core.deadline import is_over
 from ...core.entries import max_norm, unbounded
 from ...core.kernels.floats import DATA_ROUNDING
@@ -26,8 +26,6 @@ from ...core.tuning import PIVOTS_FIRST_UP_TO
 from ...systems.equilibration import power_of_two
 from ..small import bimatrix_players
 from . import tableau
-
-IndexVector = NDArray[np.intp]
 
 
 @dataclass(frozen=True, eq=False)
@@ -56,9 +54,9 @@ class CanonicalBox:
     q: Vector
     upper: Vector
     offset: Vector
-    rows: IndexVector
+    rows: Indices
     step: Vector
-    eliminated: IndexVector
+    eliminated: Indices
     elimination: FloatMatrix
 
     @property
@@ -112,7 +110,7 @@ def canonical_box(problem: LCP) -> CanonicalBox:
     return _without_free_rows(M, q[keep], upper[keep], unit, base, keep, is_free[keep])
 
 
-def _equilibrated(M: FloatMatrix) -> tuple[FloatMatrix, IndexVector, IndexVector]:
+def _equilibrated(M: FloatMatrix) -> tuple[FloatMatrix, Indices, Indices]:
     """Return M with columns and rows of size 1 and the exponents of both, which are 0 if the units are alike."""
     column, row = np.zeros((2, len(M)), np.intp)
     for _ in range(8):
@@ -160,7 +158,7 @@ def _without_free_rows(
     return CanonicalBox(M, q, upper, offset, rows, step, gone, elimination)
 
 
-def _independent(M: FloatMatrix, free: IndexVector) -> IndexVector:
+def _independent(M: FloatMatrix, free: Indices) -> Indices:
     """Return the free rows whose pivots in a factorization of their block are not at rounding level."""
     if not free.size:
         return free
@@ -171,8 +169,8 @@ def _independent(M: FloatMatrix, free: IndexVector) -> IndexVector:
 
 
 def _with_partners(
-    M: FloatMatrix, kept: IndexVector, lost: IndexVector, one_sided: IndexVector
-) -> tuple[IndexVector, IndexVector]:
+    M: FloatMatrix, kept: Indices, lost: Indices, one_sided: Indices
+) -> tuple[Indices, Indices]:
     """Return free rows, and as many other rows as may make their common block regular."""
     solution = _solved_block(M, kept, M[np.ix_(kept, one_sided)])
     if solution is None or not (lost.size and one_sided.size):
@@ -187,7 +185,7 @@ def _with_partners(
     return np.append(kept, lost[rows]), one_sided[order]
 
 
-def _solved_block(M: FloatMatrix, rows: IndexVector, right: FloatMatrix) -> Any:
+def _solved_block(M: FloatMatrix, rows: Indices, right: FloatMatrix) -> Any:
     """Return −block⁻¹ right for the block of these rows; None if it is ill-conditioned."""
     if not rows.size:
         return np.empty(right.shape)
@@ -215,14 +213,13 @@ def is_game(problem: LCP) -> bool:
     return is_cone and bimatrix_players(problem.matrix.toarray(), problem.q) is not None
 
 
-FloatMatrix = NDArray[np.float64]
 Move = tuple[int, float]  # the driven variable, and its direction
 
 ACCURATE = 1e-12  # relative residual of the basis up to which no new factorization is needed
 # relative to each |q|, and to the smallest nonzero |q| where q is 0: no two rows block at once
 TIE_BREAK = 2.0**-48
 # of the largest basic variable: largest violation of the bounds of a basic variable
-FEASIBLE = 1e-7
+OUTSIDE_TOLERANCE = 1e-7
 
 
 class LemkePath:
@@ -314,10 +311,10 @@ class LemkePath:
             return outcome
         is_doubtful = outcome != tableau.GOING_ON and self.age > 0
         if not self._is_sound(is_doubtful):
-            return tableau.LOST
+            return tableau.SMALL_PIVOT
         if is_doubtful:
             outcome = self._run(limit)
-        return tableau.GOING_ON if outcome == tableau.LOST else outcome
+        return tableau.GOING_ON if outcome == tableau.SMALL_PIVOT else outcome
 
     def _run(self, limit: int) -> int:
         arrays = self.real, self.whole, self.matrix, self.n
@@ -340,7 +337,7 @@ class LemkePath:
             return False
         low, high = self.real[tableau.LOW, : self.n], self.real[tableau.HIGH, : self.n]
         outside = np.maximum(low - self.values, self.values - high)
-        return bool((outside <= FEASIBLE * max(1.0, max_norm(self.values))).all())
+        return bool((outside <= OUTSIDE_TOLERANCE * max(1.0, max_norm(self.values))).all())
 
     def _renew(self) -> bool:
         """Compute tableau and basic values from the data; False if the basis is singular to working precision."""

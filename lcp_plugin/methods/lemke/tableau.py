@@ -14,13 +14,13 @@ from __future__ import annotations
 import numpy as np
 
 from ...core.kernels.compilation import inline, kernel
+from ...core.rounding import ROUNDING
 
 KEPT, WIDTH, LOW, HIGH, DISTANCE = np.arange(5)  # rows of `real`
 SIDE, BASIC, PLACE, OTHER, START = range(5)  # rows of `whole`
 AT_LOWER, BETWEEN, AT_UPPER, NOT_STARTED = 0, 1, 2, 3
-TIE = 1e-12  # relative: ratios that differ by less are equal up to rounding
-OWN_BOUND, NOTHING = -1, -2
-GOING_ON, SOLVED, RAY, LOST, RETURNED = 0, 1, 2, 3, 4
+OWN_BOUND, UNBLOCKED = -1, -2
+GOING_ON, SOLVED, RAY, SMALL_PIVOT, RETURNED = 0, 1, 2, 3, 4
 
 
 @kernel
@@ -41,12 +41,12 @@ def make_pivots(real, whole, matrix, n, driven, value, direction, is_fresh, limi
         for i in range(n):
             largest = max(largest, abs(matrix[i, column]))
         row, step = _blocking(real, whole, matrix, n, column, direction, value, driven)
-        if row == NOTHING:
+        if row == UNBLOCKED:
             outcome = RAY
             break
         # A pivot so small is taken in a new tableau only.
         if row >= 0 and not (is_fresh and made == 0) and abs(matrix[row, column]) < 1e-9 * largest:
-            outcome = LOST
+            outcome = SMALL_PIVOT
             break
         left, driven, value, direction = _move(
             real, whole, matrix, n, driven, value, direction, row, column, step
@@ -120,7 +120,7 @@ def _move(real, whole, matrix, n, driven, value, direction, row, column, step): 
 def _blocking(real, whole, matrix, n, column, direction, value, driven):  # type: ignore[no-untyped-def]
     """Return the row that blocks the driven variable (or OWN_BOUND, NOTHING) and the distance; t blocks first."""
     reach = real[WIDTH, driven] if driven < n else value if driven == 2 * n else np.inf
-    nearest, row = reach, OWN_BOUND if reach < np.inf else NOTHING
+    nearest, row = reach, OWN_BOUND if reach < np.inf else UNBLOCKED
     for i in range(n):
         rate = direction * matrix[i, column]
         to_bound = (real[LOW, i] if rate < 0.0 else real[HIGH, i]) - real[KEPT, i]
@@ -129,7 +129,9 @@ def _blocking(real, whole, matrix, n, column, direction, value, driven):  # type
         if distance < nearest:
             row, nearest = i, distance
     if not nearest < np.inf:
-        return NOTHING, nearest
-    if whole[PLACE, 2 * n] < n and real[DISTANCE, whole[PLACE, 2 * n]] <= nearest * (1.0 + TIE):
+        return UNBLOCKED, nearest
+    if whole[PLACE, 2 * n] < n and real[DISTANCE, whole[PLACE, 2 * n]] <= nearest * (
+        1.0 + ROUNDING
+    ):
         row = whole[PLACE, 2 * n]
     return row, nearest

@@ -15,7 +15,7 @@ from ...proofs.no_solution import FIXED, LOWER, SLACKLESS, UPPER, Case, row_choi
 from .simplex import Bound, Effort, ExactSimplex
 
 Point = tuple[Fraction, ...]
-Target = tuple[str, Bound, Bound]  # a choice, and the bounds of its basic variable
+Choice = tuple[str, Bound, Bound]  # a choice, and the bounds of its basic variable
 Closed = dict[tuple[int, str], list[Fraction]]  # excluded choices of rows, each with its proof
 
 
@@ -106,7 +106,7 @@ class Explorer:
             if low is None and high is None:
                 continue
             i, d = x % n, simplex.denominator
-            targets: list[Target] = [(LOWER, 0, None), (SLACKLESS, 0, 0), (UPPER, None, 0)]
+            targets: list[Choice] = [(LOWER, 0, None), (SLACKLESS, 0, 0), (UPPER, None, 0)]
             if x < n:
                 (bottom, top) = self.root_bounds[x]
                 targets = [(LOWER, bottom, bottom), (UPPER, top, top)]

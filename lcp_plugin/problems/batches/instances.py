@@ -25,13 +25,13 @@ from ...methods.small import (
     suits_loop,
     takes_rounds,
 )
-from ...systems.free_systems import products
+from ...systems.free_systems import matvecs
 from ...systems.graph import outer_on_pattern, sum_of_outer
 from ..cones.data import Blocks
 from ..cones.frictional_contact import FrictionalContact, FrictionalContactBatch
 from ..cones.solving import solve_cone_stack
 from ..contact import motion_of
-from ..least_squares.data import BoundedLeastSquares, multiply
+from ..least_squares.data import BoundedLeastSquares, apply_to
 from ..least_squares.solving import length_of_stack, solve_least_squares_stack, suits_stack
 from ..many import length_of_all, rows_of_a_batch
 
@@ -222,7 +222,7 @@ def have_values(lower: Array, upper: Array) -> Any:
     return ((lower <= upper) & (lower < np.inf) & (upper > -np.inf)).all(axis=1)
 
 
-class Rows(Instances):
+class ArrayInstances(Instances):
     """Problems with one matrix, or with a stack of matrices, in arrays with an axis for the problems.
 
     `base` has the matrix of all. `problems`, if they exist already, are the items, or their errors.
@@ -294,7 +294,7 @@ class Rows(Instances):
         return np.array(np.broadcast_to(begun, (self.count, begun.shape[1])))
 
 
-class Stacked(Rows):
+class Stacked(ArrayInstances):
     """Arrays: M of shape (B, n, n), or one (n, n) or LCP for all; the vectors of shape (B, n), (n,) or numbers."""
 
     are_lcps = True
@@ -327,7 +327,7 @@ class Stacked(Rows):
 
     def slacks(self, z: Array) -> Any:
         """Return M z + q of each problem, shape (B, n)."""
-        return (products(self.M, z) if self.base is None else (self.M @ z.T).T) + self.rows["q"]
+        return (matvecs(self.M, z) if self.base is None else (self.M @ z.T).T) + self.rows["q"]
 
     def outer(self, left: Array, right: Array) -> Any:
         """Return products of shape (B, n, n), or their sum on the pattern of a shared M."""
@@ -352,7 +352,7 @@ class Stacked(Rows):
         yield whole if items.size == self.count else whole.select(items)
 
 
-class RightSides(Rows):
+class RightSides(ArrayInstances):
     """One least squares problem with many vectors b, shape (B, m), bounds and l1, shapes (B, n) or (n,).
 
     `problems`, if they exist already, are the items.
@@ -395,7 +395,7 @@ class RightSides(Rows):
     def objectives(self, z: Array) -> Any:
         """Return the cost of each z, shape (B,)."""
         stack = self.stack(slice(None))
-        return stack.cost(z, multiply(stack.A, z) - stack.b)
+        return stack.cost(z, apply_to(stack.A, z) - stack.b)
 
 
 class ContactInstances(Instances):

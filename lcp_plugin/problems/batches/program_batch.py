@@ -20,14 +20,17 @@ from ...methods.small import LOOP_FROM, has_numba
 from ..many import rows_of_a_batch
 from ..programs.program import CANCELS, VECTORS, QuadraticProgram
 from ..programs.program_matrices import as_array, may_be_small
-from .instances import Rows, Stacks, have_values, vectors_of
+from .instances import ArrayInstances, Stacks, have_values, vectors_of
 
 ENGINE = "daqp"
-PROXIMAL = {"eta_prox": 1e-13, "eps_prox": -1e-3}  # for singular P, because no polish follows
+PROXIMAL_OPTIONS = {
+    "eta_prox": 1e-13,
+    "eps_prox": -1e-3,
+}  # for singular P, because no polish follows
 EIGENVALUE_ROUNDING = 4.0 * EPSILON  # of eigenvalues, relative to the largest and per unknown
 
 
-class ProgramBatch(Rows):
+class ProgramBatch(ArrayInstances):
     """Programs of one shape, as arrays with an axis for them; one row of a table has x and all multipliers.
 
     Parameters
@@ -218,7 +221,7 @@ def solve_programs(
     x: Array = np.full((count, n), np.nan)
     hessians, matrices, costs = (np.array(array, order="C") for array in (P, C, c))
     has_P = P.any()
-    kinds, settings = kinds_of_rows(n, m, d.shape[1] - m), DAQP.defaults | PROXIMAL
+    kinds, settings = kinds_of_rows(n, m, d.shape[1] - m), DAQP.defaults | PROXIMAL_OPTIONS
     above, below = ends_of_rows(d, m, lower, upper)
     for k in wanted.tolist():
         hessian = hessians[k % len(P)] if has_P else None

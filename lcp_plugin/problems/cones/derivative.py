@@ -19,13 +19,13 @@ from ...core.checks import AnyMatrix, Array, Vector, derived_property
 from ...core.cone_stack import ON, WITHIN, ConeStack, length
 from ...core.errors import InvalidOption, UnsuitableProblem
 from ...core.matrix import Matrix
+from ...core.rounding import ROUNDING
 from ...systems.free_systems import FreeSystem, LinearizedSystem
 from ...systems.graph import outer_on_pattern
 from .data import Blocks
 from .factors import cone_stack_of
 from .newton import polish_points, system_of_free_rows
 
-ROUNDING = 1e-12  # of a block's terms |M||z| + |q|: distance to another mode of a degenerate block
 PIECES, ALIKE = 20, 1e-12  # at most, for one direction, and the change of dz at which it ends
 
 

@@ -25,7 +25,10 @@ STOP = 1e-2  # of the goal: smaller changes end the sweeps
 STANDSTILL, SLOW = 100, 0.2  # steps of sweeps without a gain, and their share of all
 NEWTON_STEPS = 300  # of one call
 PATH_STEPS, NO_GAIN = 40, 8  # of the central path, and steps without a new best
-NEAR, NEARER = 1e-3, 1e-2  # residual below which Newton's steps are tried, and its later reduction
+NEAR_END, NEARER = (
+    1e-3,
+    1e-2,
+)  # residual below which Newton's steps are tried, and its later reduction
 PROGRAMS, PROGRAM_WORK = 5, 20.0  # convex programs without a gain, and the work of one
 # times the mean of |z_i|, or of the references, by which starts are moved at random
 SPREADS = 1.0, 8.0
@@ -55,7 +58,7 @@ def newton_points(stack: ConeStack, z: Vector, steps: int, goal: float) -> Point
 
 def path_points(stack: ConeStack, z: Vector, share: float, goal: float) -> Points:
     """Yield points of the central path from near z, and of Newton's method close to its end."""
-    best, least, near, since = z, np.inf, NEAR, 0
+    best, least, near, since = z, np.inf, NEAR_END, 0
     for new, work in islice(central_path(stack, z, share), PATH_STEPS):
         size = stack.relative_residual(new)
         yield Step(new, residual=size, work=work, iterations=1)
@@ -182,5 +185,5 @@ class FixedPoint(ConeAlgorithm):
         yield from newton_points(stack, best, 30, goal)
 
 
-CLASSES = ConeNSGS, ConeNewton, ConeInteriorPoint, FixedPoint
-METHODS: dict[str, type[ConeAlgorithm]] = {method.name: method for method in CLASSES}
+OVER_CONES = ConeNSGS, ConeNewton, ConeInteriorPoint, FixedPoint
+CONE_METHODS: dict[str, type[ConeAlgorithm]] = {method.name: method for method in OVER_CONES}

@@ -24,7 +24,7 @@ LEAST_OF_BODIES = 1e-8  # the system of the velocities contains 1/ε
 EXACT_OF_BODIES = 2.0**-36  # 1/ε enlarges rounding errors by so much
 # residuals whose largest a step may reach; times ε after a full step without NEWTON_GAIN
 RECENT, EASIER = 5, 0.01
-HALVINGS, DECREASE = 14, 1e-4
+MOST_HALVINGS, DECREASE = 14, 1e-4
 NEWTON_GAIN, EXACT = 0.9, 2.0**-46  # a relative residual at rounding level of the linear systems
 
 
@@ -59,7 +59,7 @@ def newton_steps(
         t, allowed, before, start = np.ones(stack.B), norms.max(1), residual.norm, points
         points = start + step
         residual = stack.measure(points)
-        for _ in range(HALVINGS):
+        for _ in range(MOST_HALVINGS):
             is_short = ~(residual.norm <= (1.0 - DECREASE * t) * allowed)
             if not is_short.any():
                 break

@@ -38,7 +38,7 @@ from .certificate import ConeCertificate, ContactInfeasibility, infeasibility_pr
 from .data import Blocks
 from .factors import FEW, cone_stack_of
 from .frictional_contact import FrictionalContact
-from .methods import METHODS, ConeAlgorithm
+from .methods import CONE_METHODS, ConeAlgorithm
 from .sweeps import SWEEPS_PER_STEP, sweep_blocks, sweep_contacts
 
 LEAST_GOAL = 1e-8  # of a run with an absolute tolerance: far above the rounding level EXACT
@@ -48,7 +48,7 @@ SCHEDULE = ((10, 20), (50, 40), (200, 40))  # sweeps, then steps of Newton's met
 STACK_SCHEDULE = (*SCHEDULE, (1000, 100))
 LONG_SCHEDULE = tuple((count, methods.NEWTON_STEPS) for count in (2500, 7500, 10000))
 SHARES = (0.01, 0.1, 0.001)  # of the largest velocity: distance of a path's start from a point
-WORDS = {
+ADVICE = {
     Status.STALLED: (
         "no method reduces the residual further; next: another start z0, or less friction: contact with much friction "
         "or a singular W need not have a solution"
@@ -168,12 +168,12 @@ def _checked_algorithm(algorithm: object) -> str | ConeAlgorithm:
     if isinstance(algorithm, ConeAlgorithm):
         return algorithm
     name = str(algorithm)
-    if name != "auto" and name not in METHODS:
+    if name != "auto" and name not in CONE_METHODS:
         raise UnknownAlgorithm(
-            f"no algorithm for cones is called {algorithm!r}{did_you_mean(name, {'auto', *METHODS})}; use one of "
-            f"{', '.join(METHODS)}, or an object of lcp_plugin.problems.cones.methods"
+            f"no algorithm for cones is called {algorithm!r}{did_you_mean(name, {'auto', *CONE_METHODS})}; use one of "
+            f"{', '.join(CONE_METHODS)}, or an object of lcp_plugin.problems.cones.methods"
         )
-    return name if name == "auto" else METHODS[name]()
+    return name if name == "auto" else CONE_METHODS[name]()
 
 
 def solve_cone_stack(
@@ -321,7 +321,7 @@ class ConeRun(Run):
         z = read_only(self.stack.pattern.flat(self.best.z)[0].copy())
         measured = None if self.best.rows is None else self.best
         certificate = ConeCertificate(self.problem, z, self.tolerance, measured)
-        return self.result_at(certificate, self.status(end), ConeResult, _advice=WORDS, **fields)
+        return self.result_at(certificate, self.status(end), ConeResult, _advice=ADVICE, **fields)
 
     # --- the plan -----------------------------------------------------------------------------------------
 

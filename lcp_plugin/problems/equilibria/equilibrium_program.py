@@ -12,7 +12,7 @@ import scipy.sparse as sp
 from numpy.typing import ArrayLike, NDArray
 
 from ...core import checks
-from ...core.checks import AnyMatrix, Vector, checked_bounds, checked_vector
+from ...core.checks import AnyMatrix, Indices, Vector, checked_bounds, checked_vector
 from ...core.entries import largest_in_rows
 from ...core.errors import InvalidProblem, LCPError, UnsupportedModel
 from ...proofs import exact
@@ -20,13 +20,12 @@ from ..nonlinear.data import NonlinearProblem
 from ..nonlinear.solving import solve_nonlinear
 from ..programs.program import QuadraticProgram, refuse_nonconvex
 
-Indices = NDArray[np.int64]
 #: The open branches of each pair, as a sum of LOWER, BETWEEN, UPPER.
 Cases = NDArray[np.uint8]
 
 # Branches of a pair: z at its lower bound and w ≥ 0, or w = 0, or z at its upper bound and w ≤ 0.
-LOWER, BETWEEN, UPPER = 1, 2, 4
-CASES = (LOWER, BETWEEN, UPPER)
+LOW_CASE, FREE_CASE, HIGH_CASE = 1, 2, 4
+CASES = (LOW_CASE, FREE_CASE, HIGH_CASE)
 # A share of `size_of_data`: at the tolerance 1e-6 ten times the rounding error of SCIP, 1e-9
 LEAST_SHARE = 1e-2
 
@@ -174,16 +173,16 @@ class EquilibriumProgram:
         is_separate = np.array([pair not in tied for pair in pairs], bool)
         ends = (self.lower, self.upper)
         lower, upper = (np.isfinite(end) & (is_separate | (end != 0.0)) for end in ends)
-        return (BETWEEN + LOWER * lower + UPPER * upper).astype(np.uint8)
+        return (FREE_CASE + LOW_CASE * lower + HIGH_CASE * upper).astype(np.uint8)
 
     def bounds(self, cases: Cases) -> tuple[Vector, Vector]:
         """Return the bounds of x common to all open branches; infeasible if some lower > upper."""
         lower, upper = np.array(self.program.lower), np.array(self.program.upper)
         z, w = self.first, self.second
-        np.maximum.at(lower, z, np.where(cases == UPPER, self.upper, self.lower))
-        np.minimum.at(upper, z, np.where(cases == LOWER, self.lower, self.upper))
-        np.maximum.at(lower, w, np.where(cases & UPPER, -np.inf, 0.0))
-        np.minimum.at(upper, w, np.where(cases & LOWER, np.inf, 0.0))
+        np.maximum.at(lower, z, np.where(cases == HIGH_CASE, self.upper, self.lower))
+        np.minimum.at(upper, z, np.where(cases == LOW_CASE, self.lower, self.upper))
+        np.maximum.at(lower, w, np.where(cases & HIGH_CASE, -np.inf, 0.0))
+        np.minimum.at(upper, w, np.where(cases & LOW_CASE, np.inf, 0.0))
         return lower, upper
 
     @cached_property
@@ -230,7 +229,7 @@ class EquilibriumProgram:
         is_free = np.isinf(program.lower) & np.isinf(program.upper) & (program.c == 0.0)
         used = np.concatenate([matrix.indices for matrix in others])
         is_free[used[used < program.n]] = False
-        is_free[self.first[self.all_cases & (LOWER | UPPER) > 0]] = False
+        is_free[self.first[self.all_cases & (LOW_CASE | HIGH_CASE) > 0]] = False
         is_free[np.concatenate([self.second, self.integers])] = False
         free = np.flatnonzero(is_free)
         columns = sp.csr_array(sp.vstack(rows, format="csc")[:, free].T)

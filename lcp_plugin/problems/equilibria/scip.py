@@ -36,14 +36,14 @@ from ...core.entries import entries_of_row
 from ...core.errors import UnsupportedModel
 from ...expressions.rows import Program
 from ...systems.equilibration import power_of_two
-from .equilibrium_program import LOWER, UPPER, EquilibriumProgram
+from .equilibrium_program import HIGH_CASE, LOW_CASE, EquilibriumProgram
 from .relaxations import ENDS, FEASIBLE
 
 SCIP_INFINITY = 1e20  # larger numbers are infinite for SCIP, also seconds
 SHARE = 0.25  # of the requested gap
 # box for unbounded relaxations; relative distance at which a point is at its edge
 BOX, BOX_MARGIN = 1e6, 1e-3
-FAILED = "SCIP:"  # start of SCIP's error messages
+ERROR_WORD = "SCIP:"  # start of SCIP's error messages
 
 Watcher = Callable[[float, float, int], bool]
 
@@ -114,7 +114,7 @@ def minimize(
     for feasible in sorted({min(FEASIBLE, tolerance), FEASIBLE, 1e-6}):
         model = _Model(problem, ends)
         result = model.solved(tolerance, max_nodes, feasible)
-        if not result.status.startswith(FAILED):
+        if not result.status.startswith(ERROR_WORD):
             break
     is_unbounded = result.status == "unbounded"
     if not is_unbounded and (result.x is None or not model.root_is_unbounded):
@@ -280,10 +280,10 @@ class _Model:
         """State z ⟂ w: the distance of z from the lower (upper) bound or w⁺ (w⁻) is zero."""
         z, w = self.x[self.problem.first[i]], self.x[self.problem.second[i]]
         parts = []  # of w
-        if cases & LOWER:
+        if cases & LOW_CASE:
             parts.append(self.model.addVar(lb=0.0))
             self.model.addConsSOS1([self._named(z - float(self.problem.lower[i]), 0.0), parts[-1]])
-        if cases & UPPER:
+        if cases & HIGH_CASE:
             parts.append(self.model.addVar(lb=None, ub=0.0))
             self.model.addConsSOS1([self._named(float(self.problem.upper[i]) - z, 0.0), parts[-1]])
         self.model.addCons(self.scip.quicksum(parts) == w)

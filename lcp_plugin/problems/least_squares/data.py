@@ -388,7 +388,7 @@ Ball = tuple[Vector, Vector]
 """Values and radii: the exact values lie within."""
 
 # more than the rounding of a sum of 2²⁰ terms of one sign, or of a few operations
-NOTHING = np.empty(0)
+NO_ROWS = np.empty(0)
 
 
 class Enclosures:
@@ -424,7 +424,7 @@ class Enclosures:
     def residual(self, x: Vector) -> Ball:
         """Return A x − b."""
         problem = self.problem
-        return self._product(problem.A, problem.sizes, x, NOTHING, problem.b, problem.terms[0])
+        return self._product(problem.A, problem.sizes, x, NO_ROWS, problem.b, problem.terms[0])
 
     @cached_property
     def most_rounding(self) -> Vector:
@@ -433,7 +433,7 @@ class Enclosures:
         The terms of rows are compared in units of the rows of A, with columns of unit length.
         """
         problem = self.problem
-        size, unit = multiply(problem.sizes, np.abs(problem.nearest_to_zero)), problem.row_units
+        size, unit = apply_to(problem.sizes, np.abs(problem.nearest_to_zero)), problem.row_units
         largest = ((size + np.abs(problem.b)) / unit).max(-1, keepdims=True, initial=0.0)
         return gamma(2 * problem.terms[0] + 8) * RAN_AWAY * unit * largest
 
@@ -458,7 +458,7 @@ class Enclosures:
 
     def gradient_at(self, x: Vector, y: Vector) -> Ball:
         """Return AᵀWy + ridge x."""
-        return self.gradient(x, (y, NOTHING))
+        return self.gradient(x, (y, NO_ROWS))
 
     def apply_transpose(self, y: Vector, radius: Vector) -> Ball:
         """Return AᵀWy for a y known up to radius; an empty radius means that y is exact."""
@@ -472,10 +472,10 @@ class Enclosures:
         self, B: Any, sizes: Any, v: Vector, radius: Array, less: Array, terms: int
     ) -> Ball:
         """Return B v − less for a v known up to radius, with |B| = sizes and so many terms in a row of B."""
-        unsure = OUTWARD * multiply(sizes, radius) if radius.size else 0.0
-        size = multiply(sizes, np.abs(v)) + np.abs(less) + unsure
+        unsure = OUTWARD * apply_to(sizes, radius) if radius.size else 0.0
+        size = apply_to(sizes, np.abs(v)) + np.abs(less) + unsure
         rounding = gamma(2 * terms + 8) * OUTWARD * size + (2 * terms + 8) * TINY * (size > 0.0)
-        return multiply(B, v) - less, rounding + unsure
+        return apply_to(B, v) - less, rounding + unsure
 
     @cached_property
     def reference(self) -> float:
@@ -494,6 +494,6 @@ def shortest_solution(A: Vector, b: Vector) -> Vector:
     return lstsq(A, b, max(A.shape) * EPSILON, check_finite=False, lapack_driver="gelsy")[0]
 
 
-def multiply(B: AnyMatrix, v: Vector) -> Vector:
+def apply_to(B: AnyMatrix, v: Vector) -> Vector:
     """Return B v, for each row of v if v has two axes."""
     return B @ v if v.ndim == 1 else v @ B.T

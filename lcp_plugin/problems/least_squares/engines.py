@@ -234,7 +234,7 @@ def _steps_on_face(point: FacePoint) -> Generator[FacePoint, None, tuple[FacePoi
     return point, False
 
 
-RIDGE = "normal equations"
+NORMAL_EQUATIONS = "normal equations"
 FACTORS = 20  # that PIQP makes, about
 
 
@@ -259,7 +259,7 @@ def engine_points(problem: ScaledLeastSquares) -> NamedPoints:
     """Yield points x within the bounds by the solvers that suit the problem."""
     is_dense = problem.problem.is_dense or problem.problem.is_small
     if is_dense and problem.ridge.all() and problem.has_no_corner:
-        yield RIDGE, ridge_solution(problem)
+        yield NORMAL_EQUATIONS, ridge_solution(problem)
     A, b = problem.rows(is_dense=is_dense)
     if not is_dense:
         if is_installed("piqp"):

@@ -26,7 +26,7 @@ from ...solving.result import BaseResult, Callback, StageRecord, end_at_once, wi
 from ...solving.run import CUT_SHORT, FAILED, Named, Progress, Run, Stage, say
 from . import engines
 from .certificate import Optimality, exceeds, measure_stack, onto_bounds, worst_columns
-from .data import BoundedLeastSquares, Enclosures, multiply
+from .data import BoundedLeastSquares, Enclosures, apply_to
 
 NNLS = "nnls", "one bound per column"  # a stage and its reason
 START = "start"  # instead of a method, if the start is optimal
@@ -452,8 +452,8 @@ def solve_least_squares_stack(
         return active_set_points(gram[None], gradient, *to_bounds, side) / columns
 
     x = z / columns
-    residual = multiply(problem.A, x) - problem.b
-    slope = multiply(problem.A.T, problem.apply_weights(residual)) + problem.ridge * x
+    residual = apply_to(problem.A, x) - problem.b
+    slope = apply_to(problem.A.T, problem.apply_weights(residual)) + problem.ridge * x
     x = clip(x + newton_step(slope), problem.lower, problem.upper)
     x = np.where(side == LOW, problem.lower, np.where(side == HIGH, problem.upper, x))
     value, is_solved = measure_stack(problem, x, tolerance, newton_step)

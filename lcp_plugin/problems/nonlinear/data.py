@@ -515,7 +515,7 @@ def _newton_step(M: AnyMatrix, w: Vector, at: IntVector) -> tuple[Factor | None,
     return factor, np.zeros(at.size) if factor is None else -factor.solve(w[at])
 
 
-MOVES = 4.0 ** np.arange(-25, 1)  # shares of x, from some roundings to x itself
+REACHES = 4.0 ** np.arange(-25, 1)  # shares of x, from some roundings to x itself
 SAMPLES = 5  # of the rounding error of each F_i
 FAR_STEPS = 4096.0  # at which Newton's step leads back if rounding errors made it
 
@@ -617,13 +617,13 @@ class LinearizedRows(RowData):
         """Estimate of the rounding error inside each F_i/d_i, shape (n,); NaN if F is not defined near x.
 
         It is the largest |F(x + δ) − F(x) − F′(x) δ|_i / d_i of five steps, the first of which is the least in
-        `MOVES` that changes F_i: 1 − e⁻ˣ is constant next to a small x.
+        `REACHES` that changes F_i: 1 − e⁻ˣ is constant next to a small x.
         """
         x, noise, left = self.x, np.zeros(self.x.size), np.full(self.x.size, SAMPLES)
         step = -self.residual(x, self.value)
         way = np.copysign(np.maximum(np.abs(x), np.abs(step)), step)
         left[step == 0.0] = 0
-        for share in MOVES:
+        for share in REACHES:
             near = np.clip(x + share * way, self.lower, self.upper)
             change = self.problem.value(near) - self.value
             error = np.abs(change - self.M @ (near - x)) / self.scale

@@ -26,7 +26,7 @@ from ...core.settings import Settings
 from ...core.tuning import CHEAP_UP_TO
 from ...methods.newton import fischer_burmeister
 from .data import Linearization, moves_on
-from .steps import Target, row_scale, targets
+from .steps import Aim, row_scale, targets
 
 SEARCHES = {"monotone": 1, "nonmonotone": 4}  # points with whose worst merit a step is compared
 TRIALS = 12  # points on a line where F is defined
@@ -182,14 +182,14 @@ class JosephyNewton(Algorithm):
         """Return whether the residual is negligible next to the residual of the start."""
         return self.size_of(self.current) <= NEGLIGIBLE * self.size_of(self.first)
 
-    def full_step(self, target: Target) -> Linearization | None:
+    def full_step(self, target: Aim) -> Linearization | None:
         """Return the target if it has less than half of the current residual, in the current scale."""
         current, point = self.current, self._at(target.x)
         there = current.data.residual(point.x, point.value)
         size, before = (max_norm(self.weights * steps) for steps in (there, current.steps))
         return point if size < 0.5 * before and point.is_defined else None
 
-    def search(self, target: Target) -> Linearization | None:
+    def search(self, target: Aim) -> Linearization | None:
         """Return the first point on the way to the target that is better."""
         current, is_newton, tried = self.current, target.name == "Newton", 0
         worst = target.share * max(map(self._merit, self.recent if is_newton else (current,)))

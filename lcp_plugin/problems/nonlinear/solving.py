@@ -172,7 +172,7 @@ def begin_at(first: Linearization) -> tuple[Linearization, str]:
     return first, ""
 
 
-WORDS = {
+ADVICE = {
     Status.SOLVED: "the residual is within the tolerance, as measured on F",
     Status.PRECISION_LIMIT: "rounding in F, as estimated, explains the residual; next: accept z, or scale F",
     Status.STALLED: (
@@ -254,7 +254,7 @@ class NonlinearRun(Run):
         is_limited = is_open and point.is_limited(self.settings)
         self.best = Measured(point, 0.0, passes, is_limited)
         status = self.status(end)
-        words = {**WORDS, Status.STALLED: GROWING} if self._is_far(point) else WORDS
+        words = {**ADVICE, Status.STALLED: GROWING} if self._is_far(point) else ADVICE
         named: dict[str, Any] = {"algorithm": newton.name, "_asked": newton, "_advice": words}
         named |= {"evaluations": Evaluations(*newton.first.problem.counts), "begun": begun}
         if status is Status.STALLED and (part := point.problem.affine_part) is not None:

@@ -42,7 +42,7 @@ from ...systems.factors import factorize
 from .data import SMALLEST_TOLERANCE, Linearization
 
 HALVINGS = tuple(0.5**k for k in range(30))  # step lengths of Newton steps
-SHIFTS = 1e-3, 1e-1, 10.0  # of the residual scale: proximal steps
+PROXIMAL_SHIFTS = 1e-3, 1e-1, 10.0  # of the residual scale: proximal steps
 DAMPINGS, DAMPED = (1e-6, 1e-3, 0.1, 10.0, 1e3), (1.0, 0.3, 0.1, 0.03)  # Levenberg–Marquardt
 FORCING = 0.01  # of the residual at x: tolerance of a linearization far from a solution
 FLAT = (
@@ -52,7 +52,7 @@ ACTIVE_SETS_UP_TO = 5000  # rows; beyond, LCP methods need fewer factorizations
 ACTIVE_SETS = 8  # linear solves before an LCP method
 
 
-class Target(NamedTuple):
+class Aim(NamedTuple):
     """Point to which a search goes.
 
     Attributes
@@ -72,30 +72,30 @@ class Target(NamedTuple):
     share: float = 1.0
 
 
-def targets(point: Linearization, linear: str | Algorithm, tolerance: float) -> Iterator[Target]:
+def targets(point: Linearization, linear: str | Algorithm, tolerance: float) -> Iterator[Aim]:
     """Yield the targets from a point; the LCP of a linearization is solved by the algorithm `linear`."""
     step = None
-    if linear == "auto" and not is_small(point) and point.x.size <= ACTIVE_SETS_UP_TO:
+    if linear == "auto" and not is_dense(point) and point.x.size <= ACTIVE_SETS_UP_TO:
         for shift in (0.0, min(1.0, max(point.residual, 1e-8)), 1.0):
             yield from _active_set_targets(point, shift)
         if (step := _semismooth_step(point)) is not None:
-            yield Target("semismooth", moved(point, step), (1.0,), 0.5)
-    for shift in (0.0, *SHIFTS):
+            yield Aim("semismooth", moved(point, step), (1.0,), 0.5)
+    for shift in (0.0, *PROXIMAL_SHIFTS):
         if (target := lcp_step(point, linear, tolerance, shift)) is not None:
-            yield Target("proximal" if shift else "Newton", moved(point, target), HALVINGS)
-        if not shift and is_small(point):
+            yield Aim("proximal" if shift else "Newton", moved(point, target), HALVINGS)
+        if not shift and is_dense(point):
             step = _semismooth_step(point)
         if not shift and step is not None:
-            yield Target("semismooth", moved(point, step), HALVINGS)
+            yield Aim("semismooth", moved(point, step), HALVINGS)
     phi, H = phi_and_jacobian(point)
     gradient, size = H.T @ phi, math.sqrt(phi @ phi / max(phi.size, 1))
     normal = H.T @ H
     for damping in DAMPINGS:
         if (step := solve_shifted(normal, damping * size, -gradient)) is not None:
-            yield Target("Levenberg–Marquardt", moved(point, step), DAMPED)
+            yield Aim("Levenberg–Marquardt", moved(point, step), DAMPED)
 
 
-def is_small(point: Linearization) -> bool:
+def is_dense(point: Linearization) -> bool:
     """Return whether linearizations are solved on arrays."""
     return point.x.size <= SMALL_DENSE and isinstance(point.M, np.ndarray)
 
@@ -116,7 +116,7 @@ def lcp_step(
     The tolerance is tied to the relative residual at x. The unknown is d, because the residual at x is then the
     reference, and of several solutions a solution near x results.
     """
-    if linear == "auto" and is_small(point):
+    if linear == "auto" and is_dense(point):
         if shift not in point.lcp_steps:  # points of `JosephyNewton.full_steps` know some
             M, w, lower, upper = step_data(point, shift)
             step = small_step(M, w, lower, upper, (1.0 + shift) * point.scale)
@@ -175,7 +175,7 @@ def small_step(M: Vector, w: Vector, lower: Vector, upper: Vector, scale: Vector
     return best
 
 
-def _active_set_targets(point: Linearization, shift: float) -> Iterator[Target]:
+def _active_set_targets(point: Linearization, shift: float) -> Iterator[Aim]:
     """Yield the ends of linear solves on active sets of M + shift D, until a set reproduces itself or is singular."""
     problem, zero = step_problem(point, shift), np.zeros(point.x.size)
     before = classify(problem, zero, problem.q)
@@ -188,9 +188,9 @@ def _active_set_targets(point: Linearization, shift: float) -> Iterator[Target]:
         target = moved(point, solution.z)
         if not shift:
             lengths = HALVINGS if is_last else (1.0,)
-            yield Target("active set", target, lengths, 1.0 if is_last else 0.5)
+            yield Aim("active set", target, lengths, 1.0 if is_last else 0.5)
         elif is_last:
-            yield Target("proximal", target, (1.0,), 0.8 if shift == 1.0 else 0.5)
+            yield Aim("proximal", target, (1.0,), 0.8 if shift == 1.0 else 0.5)
         if is_last:
             return
         before = now

@@ -21,14 +21,13 @@ from scipy.linalg import lapack
 
 from ...core.checks import AnyMatrix, Vector
 from ...core.entries import IntVector, largest_in_rows, scale_matrix
+from ...core.rounding import ROUNDING
 from ...systems.equilibration import EQUILIBRATING_PASSES, equilibrating_exponents
 from ..least_squares.data import BoundedLeastSquares
 
 #: begin, end, z and the steps of all rows: z[0] + (t − begin) z[1] solves the problem for begin ≤ t ≤ end.
-Line = tuple[float, float, Vector, IntVector]
+Segment = tuple[float, float, Vector, IntVector]
 Change = tuple[int, int]  # a row, and +1 for the next step or −1 for the step before
-
-ROUNDING = 1e-12  # error of a z or a w relative to its terms; smaller rates count as 0
 
 
 @dataclass(frozen=True, eq=False)
@@ -216,7 +215,7 @@ class Follower:
         is_off = motion is None or bool((motion.outside > 1e3).any())
         self.motion = None if is_off else motion
 
-    def lines(self, stop: float) -> Iterator[Line]:
+    def lines(self, stop: float) -> Iterator[Segment]:
         """Yield the lines up to stop, or to where the path is lost."""
         begin, stuck, changed = self.begin, 0, None
         for _ in range(200 * self.n + 10_000):

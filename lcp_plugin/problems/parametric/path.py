@@ -23,7 +23,7 @@ from ..nonlinear.data import NonlinearProblem
 from ..programs.solution import QPSolution
 
 BREAKPOINTS_SHOWN = 8  # breakpoints in a paragraph
-SINGULAR = "the solution determines no way on, a singular case; solve_batch solves at given values"
+NO_WAY_ON = "the solution determines no way on, a singular case; solve_batch solves at given values"
 MISSED = (
     "a row that leaves its bound and returns within a step, at most 1/32 of the way, may be missed"
 )
@@ -322,7 +322,7 @@ class Path(Outcome):
             return f"; the piece from {worst.begin:.9g} is not within the tolerance"
         why = self.crossed or "the path was lost"
         if self.beyond is not None:
-            why = SINGULAR if self.beyond.is_solved else self.beyond.advice
+            why = NO_WAY_ON if self.beyond.is_solved else self.beyond.advice
         return f"; it ends at {self.reached:.9g}, before {self.stop:.6g}: {why}"
 
     plot = Door()  # evidence.drawing.plot_path

@@ -27,7 +27,7 @@ PREDICTION = 1e-3  # largest error of a prediction, relative to 1 + ‖x‖∞
 NEAR = 2.0**-30  # of the way: distance of the two solutions at a breakpoint
 
 
-class Node(NamedTuple):
+class Knot(NamedTuple):
     """Solution at t, its motion, and the sides of the rows: −1 at the lower bound, 1 at the upper, 0 between them.
 
     `behind` is the rate of x before t, which differs from the motion's if a row changes its side at t.
@@ -59,7 +59,7 @@ class SmoothPiece(Piece):
     line: Any = field(default=None, repr=False)
 
     @classmethod
-    def through(cls, nodes: list[Node], line: Any, begin: float, end: float) -> SmoothPiece:
+    def through(cls, nodes: list[Knot], line: Any, begin: float, end: float) -> SmoothPiece:
         """Return the segment through solutions, from t = begin to end."""
         x, rate = (np.array([node.motion.z[k] for node in nodes]) for k in (0, 1))
         rate[-1] = nodes[-1].behind
@@ -127,7 +127,7 @@ class SmoothFollower:
         if len(nodes) > 1:
             yield begin, nodes[-1].t, nodes, None
 
-    def _first_change(self, low: Node, high: Node) -> tuple[Node, Node] | None:
+    def _first_change(self, low: Knot, high: Knot) -> tuple[Knot, Knot] | None:
         """Return solutions just before and just beyond the first change of sides; None if a solution fails."""
         near, newest = NEAR * self.span, high
         for k in count():
@@ -143,7 +143,7 @@ class SmoothFollower:
             low, high = (node, high) if node.sides == low.sides else (low, node)
         return low, high
 
-    def _node(self, t: float, guess: Vector) -> Node | None:
+    def _node(self, t: float, guess: Vector) -> Knot | None:
         """Return the solution at t near a guess; None if Newton's method leads to no solution with a derivative."""
         step = STEP * self.span if 2.0 * t < self.span else -STEP * self.span
         problem, other = (self.line.at(self.line.theta(place)) for place in (t, t + step))
@@ -165,4 +165,4 @@ class SmoothFollower:
         slack = -sides * np.array([tangent.slack(x), tangent.csr @ dx + dq])
         low = np.where(sides == 0, below, slack)
         high = np.where(sides == 0, above, [[np.inf], [0.0]])
-        return Node(t, Motion(z, low, high, *np.zeros(z.shape)), sides.tobytes(), -back)
+        return Knot(t, Motion(z, low, high, *np.zeros(z.shape)), sides.tobytes(), -back)

@@ -15,6 +15,7 @@ from ...core.entries import max_norm
 from ...core.errors import InvalidOption, UnsuitableProblem, did_you_mean
 from ...core.lcp import LCP
 from ...core.problem_classes import class_of, classes_of, foreign_function, refusal
+from ...core.rounding import ROUNDING
 from ...core.settings import DEFAULTS, Settings
 from ...core.tuning import PIVOTED_UP_TO
 from ...judges.program import PROGRAM_TOLERANCE
@@ -25,7 +26,7 @@ from ..nonlinear.data import NonlinearProblem
 from ..programs.conversion import conditions
 from ..programs.program import QuadraticProgram, refuse_nonconvex
 from ..programs.solution import QPSolution
-from .following import ROUNDING, Follower, MonotoneGraphs
+from .following import Follower, MonotoneGraphs
 from .path import Path, PathPoint, Piece
 from .smooth import SmoothFollower, SmoothPiece
 

@@ -39,9 +39,9 @@ from .result import QuadraticProgramResult
 from .solution import QPSolution, bound_multipliers, worst_constraints
 from .solving import solve_program
 
-CLAIMS = ("optimal", "infeasible", "unbounded")
+PROVABLE = ("optimal", "infeasible", "unbounded")
 SMALL = 400  # variables and rows of a program that is solved again for a tighter bound
-NOTHING = "nothing can be proved"
+UNPROVED = "nothing can be proved"
 WITHIN_ROUNDING = "within rounding: a negative eigenvalue of P, as rounding of entries makes it"
 NOT_BY_A_ROW = "each row passes, but F may tend to 0 as x diverges, or is at rounding level"
 
@@ -148,8 +148,8 @@ def certify(
     if hasattr(problem, "measured"):  # its rows are spread over MPI ranks
         claimed = x, multipliers, claim, tolerance, max_seconds
         problem.halo.together(lambda: _check_point(problem, *claimed))
-        return _solved(*problem.measured(getattr(x, "x", x), float(tolerance)))
-    _check_options(tolerance, max_seconds)
+        return _verdict_at(*problem.measured(getattr(x, "x", x), float(tolerance)))
+    _check_limits(tolerance, max_seconds)
     check_labels(problem, {"x": x})
     tolerance = float(tolerance)
     with time_limit(math.inf if max_seconds is None else float(max_seconds)):
@@ -159,8 +159,8 @@ def certify(
             claim = str(x.status.name).lower()
         if not isinstance(problem, QuadraticProgram):
             return _certify_other(problem, x, multipliers, claim, pairs, tolerance)
-        if claim not in (None, *CLAIMS):
-            raise InvalidOption(f"claim={claim!r} is not offered{did_you_mean(claim, CLAIMS)}")
+        if claim not in (None, *PROVABLE):
+            raise InvalidOption(f"claim={claim!r} is not offered{did_you_mean(claim, PROVABLE)}")
         is_refused = claim != "infeasible" or problem.is_convex is not False
         if is_refused or no_minimum.proof_of_contradiction(problem) is None:
             refuse_nonconvex(problem)
@@ -216,7 +216,7 @@ def _certify_other(
 
 def _check_point(problem: Any, x: Any, multipliers: Any, claim: Any, *options: Any) -> None:
     """Raise InvalidOption unless x is the only claim about a problem of pairs."""
-    _check_options(*options)
+    _check_limits(*options)
     name = type(problem).__name__
     if multipliers is not None or claim is not None:
         fault = f"multipliers and claim go with a QuadraticProgram, got a {name}"
@@ -266,7 +266,7 @@ def certify_point(problem: Any, x: Vector, tolerance: float) -> Certification:
         reason = worst_pairs(data, measured, names, tolerance, 1)[0].text
     violation = float(np.max(measured.rows.violation, initial=0.0))
     rows = partial(worst_pairs, data, measured, names, tolerance)
-    return _solved(passes, violation, residual, tolerance, reason, rows)
+    return _verdict_at(passes, violation, residual, tolerance, reason, rows)
 
 
 def with_side_conditions(verdict: Certification, violated: Sequence[WorstRow]) -> Certification:
@@ -283,7 +283,7 @@ def _with_rows(violated: tuple[WorstRow, ...], verdict: Certification, count: in
     return WorstRows((*violated, *verdict.worst(count))[:count])
 
 
-def _solved(
+def _verdict_at(
     passes: bool, violation: float, residual: float, tolerance: float, reason: str, rows: Any = None
 ) -> Certification:
     """Return the verdict on a point of complementarity conditions; the default reason is its residual."""
@@ -318,7 +318,7 @@ def claimed_point(
     return x, np.concatenate([inequality, equality, *bound_multipliers(program, gradient)])
 
 
-def _check_options(tolerance: Any, max_seconds: Any = None) -> None:
+def _check_limits(tolerance: Any, max_seconds: Any = None) -> None:
     checked_tolerance(tolerance, may_be_zero=False)
     if max_seconds is not None and (not is_number(max_seconds) or not max_seconds > 0.0):
         raise InvalidOption(f"max_seconds must be a number > 0 or None, got {max_seconds!r}")
@@ -448,7 +448,7 @@ class ProgramProofs:
             reason = f"no feasible x is below {lower + self.program.constant:.9g}"
         verdict = "disproved" if reason else "unproved"
         ends = _if_finite(lower), _if_finite(upper)
-        return Certification(verdict, claim, None, *ends, reason=reason or NOTHING)
+        return Certification(verdict, claim, None, *ends, reason=reason or UNPROVED)
 
     def on_bounds(self, x: Vector, tolerance: float) -> Vector:
         """Return x with each x_j on a bound if the move is negligible; x itself if the objective would change.
@@ -654,7 +654,7 @@ class ProvenBounds:
                 f"multipliers prove by weak duality: {evidence}"
             )
         if not math.isfinite(self.lower):
-            return f"{NOTHING}: {evidence}, and no multipliers give a finite bound"
+            return f"{UNPROVED}: {evidence}, and no multipliers give a finite bound"
         if not self.violation.is_met:
             return f"a constraint is violated by up to {self.violation.largest:.3g}"
         return f"the objective is only proved to be within {self.gap:.3g} of the optimum"

@@ -11,10 +11,10 @@ import numpy as np
 import scipy.sparse as sp
 from numpy.typing import NDArray
 
-from ...core.checks import Vector
+from ...core.checks import Indices, Vector
 from ...core.entries import largest_in_rows
 from ...core.rounding import compensated_product, upper_end
-from ...judges.program import NOISE, Indices
+from ...judges.program import NOISE
 from ...proofs.exact import Row, rational_rows
 from ...proofs.farkas import LinearConstraints
 from .program_matrices import ProgramMatrices

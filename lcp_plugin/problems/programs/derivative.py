@@ -23,7 +23,7 @@ from ...core import checks
 from ...core.checks import AnyMatrix, Array, Vector
 from ...core.errors import InvalidOption, InvalidProblem, UnsuitableProblem
 from ...core.lcp import LCP
-from ...systems.free_systems import products
+from ...systems.free_systems import matvecs
 from ...systems.graph import sum_of_outer
 from ..least_squares.data import BoundedLeastSquares
 from .conversion import condition_vectors, conditions
@@ -74,7 +74,7 @@ class LeastSquaresGradient(NamedTuple):
 def multiply(matrix: AnyMatrix, x: Vector, *, transposed: bool = False) -> Vector:
     """Return the product with x, or with each row of x; the matrix may have an axis in front."""
     if matrix.ndim == 3:
-        return np.asarray(products(matrix.swapaxes(1, 2) if transposed else matrix, x))
+        return np.asarray(matvecs(matrix.swapaxes(1, 2) if transposed else matrix, x))
     matrix = matrix.T if transposed else matrix
     return np.asarray(matrix @ x if x.ndim == 1 else (matrix @ x.T).T)
 

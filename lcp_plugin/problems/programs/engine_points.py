@@ -15,7 +15,7 @@ from ...core.entries import clip
 from ...core.errors import InvalidOption, UnsuitableProblem
 from ...engines import engine_class, is_installed, scaling
 from ...engines.engine import Engine, EnginePoint, EngineStatus, ProgramData, SolverLimits
-from ...engines.polish import ROUNDS, polish_steps
+from ...engines.polish import POLISH_STEPS, polish_steps
 from ...judges.program import NO_POLISH, SHARP, KKTErrors
 from .program import QuadraticProgram
 from .program_matrices import ProgramMatrices
@@ -65,7 +65,7 @@ ATTEMPTS: tuple[tuple[str, float | None, int | None, Scaling], ...] = (
 # With much fill, a step of PIQP takes up to 10 s, and nothing interrupts it. HiGHS pivots; Clarabel's factorization is
 # up to 20 times as fast then.
 ORDER_WITH_FILL = "highs", "clarabel", "daqp", "piqp"
-TOLERANCES = MappingProxyType(
+TOLERANCE_NAMES = MappingProxyType(
     {
         "piqp": ("eps_abs", "eps_rel", "eps_duality_gap_abs", "eps_duality_gap_rel"),
         "clarabel": ("tol_gap_abs", "tol_gap_rel", "tol_feas"),
@@ -149,7 +149,7 @@ def attempts(program: QuadraticProgram, engine: Any = None) -> Iterator[tuple[En
         length = matrices.entries[0] / max(program.n, 1) if name == "piqp" else 0.0
         # Longer sums have larger rounding errors, below which PIQP takes all its steps
         factor = max(1.0, length / 64.0)  # 16 for a dense kernel matrix of 1 000 rows
-        options = dict.fromkeys(TOLERANCES[name], tolerance * factor) if tolerance else {}
+        options = dict.fromkeys(TOLERANCE_NAMES[name], tolerance * factor) if tolerance else {}
         if engine is not None:
             if name == engine.name:
                 yield type(engine)(**{**options, **engine.options}), scale
@@ -195,13 +195,13 @@ def run_engine(
                 end = engine.solve(scaled.statement, SolverLimits(seconds_left(), is_verbose))
             point, end = end, None
         except Exception:  # an external solver may raise any error for an option
-            _check_options(engine)
+            _check_engine(engine)
             raise
         iterations, reported = iterations + point.iterations, point.reported
-        rounds = 0 if reported in NO_MINIMUM else ROUNDS
+        rounds = 0 if reported in NO_MINIMUM else POLISH_STEPS
         is_small, size = reduced.matrices.is_small, sum(reduced.matrices.stacked[1].shape)
         is_cheap = is_small or point.iterations >= 20  # two factorizations take a tenth of its time
-        for near, is_polished in candidates(scaled.statement, point, rounds):
+        for near, is_polished in points_of_engine(scaled.statement, point, rounds):
             back = scaled.outward(near)
             x, y = clip(back.x, reduced.lower, reduced.upper), back.y
             measures, x = KKTErrors.with_point(reduced.judged, x, y, tolerance)
@@ -235,7 +235,7 @@ def nearest(program: QuadraticProgram) -> tuple[Vector, Vector]:
     return x, np.zeros(rows)
 
 
-def candidates(
+def points_of_engine(
     statement: ProgramData, point: EnginePoint, rounds: int
 ) -> Iterator[tuple[EnginePoint, bool]]:
     """Yield points that may be the solution near a point, and whether they are polished.
@@ -270,14 +270,14 @@ def _statements(reduced: QuadraticProgram, scale: Scaling) -> Iterator[scaling.S
         yield from scale(data, reduced.matrices)
 
 
-def _check_options(engine: Engine) -> None:
+def _check_engine(engine: Engine) -> None:
     """Raise InvalidOption if the engine does not solve a program of one unknown with its options."""
     none = np.zeros((0, 1)), np.zeros(0)
     problem = ProgramData(np.zeros((1, 1)), np.ones(1), *none, *none, np.zeros(1), np.ones(1))
     try:
         engine.solve(problem, SolverLimits())
     except Exception as error:
-        tolerances = TOLERANCES.get(engine.name, ())
+        tolerances = TOLERANCE_NAMES.get(engine.name, ())
         asked = {name: value for name, value in engine.options.items() if name not in tolerances}
         text = ", ".join(f"{name}={value!r}" for name, value in (asked or engine.options).items())
         # The first sentence, or the head of a binding's list of signatures

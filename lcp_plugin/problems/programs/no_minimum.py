@@ -50,7 +50,7 @@ from .program import FoldedRows, QuadraticProgram
 SOFTNESS = 1e-10  # share of a violation in the squares that daqp minimizes
 SOFT = 8  # added to daqp's kind of a row that may be violated
 MET = 1e-8  # residual of a row, in units of the data, that is attributed to rounding
-T = TypeVar("T", "QPInfeasibility", "QPUnboundedness")
+Proven = TypeVar("Proven", "QPInfeasibility", "QPUnboundedness")
 
 
 @dataclass(frozen=True, eq=False)
@@ -226,7 +226,7 @@ class QPUnboundedness:
     @derived_property
     def _is_feasible(self) -> bool:
         """True if the point satisfies all constraints exactly; floating point mostly decides it for a float point."""
-        rows, near = self.program.constraints, numbers(self.point)
+        rows, near = self.program.constraints, as_doubles(self.point)
         if tuple(rational(near)) == self.point and not (rows.excess(near) > 0.0).any():
             return True
         return not any(losses(rows, self.point))
@@ -236,7 +236,7 @@ class QPUnboundedness:
         """Largest violation of a constraint at the point, relative to its terms."""
         if self._is_feasible:
             return 0.0
-        rows, x = self.program.constraints, np.abs(numbers(self.point))
+        rows, x = self.program.constraints, np.abs(as_doubles(self.point))
         sizes = np.maximum(largest_products(abs(rows.matrix), x), rows.own_sizes)
         excess = np.array([*map(float, losses(rows, self.point))])
         return float(np.divide(excess, sizes, where=excess > 0.0, out=0.0 * excess).max())
@@ -289,7 +289,7 @@ class QPUnboundedness:
     def _is_rounding(self) -> bool:
         """True if P d is within the rounding of its terms, 2 ε (k + 2) Σ_j |p_ij d_j| in a row of k entries."""
         P = sp.csr_array(self.program.P)
-        terms = abs(P) @ np.abs(numbers(self.direction))
+        terms = abs(P) @ np.abs(as_doubles(self.direction))
         limit = 2.0 * EPSILON * (np.diff(P.indptr) + 2) * terms
         curved = self._certificate.left.items()
         return all(abs(float(value)) <= limit[j] for j, value in curved if j < limit.size)
@@ -325,7 +325,7 @@ def losses(rows: Constraints, x: Sequence[Fraction]) -> Fractions:
     ]
 
 
-def numbers(fractions: Any) -> Vector:
+def as_doubles(fractions: Any) -> Vector:
     """Return the doubles nearest to some fractions."""
     return np.array([float(value) for value in fractions], dtype=np.float64)
 
@@ -381,7 +381,7 @@ def proof_of_no_minimum(program: QuadraticProgram, *, exactly: bool = False) -> 
     unbounded below along a direction from a feasible point (checked exactly)
     """
     folded = FoldedRows.of(program)
-    row = contradictory_row(folded.reduced)
+    row = contradictory_constraint(folded.reduced)
     proof: NoMinimum | None = row
     if row is None or row.margin < farkas.DECISIVE:
         other = _prove_by_programs(folded.reduced, exactly)
@@ -439,7 +439,7 @@ def accepted_proof(
 def proof_of_contradiction(program: QuadraticProgram) -> QPInfeasibility | None:
     """Return a proof that the constraints are inconsistent, for any objective; None if no proof was found."""
     folded = FoldedRows.of(program)
-    proof: Any = _unfolded(folded, contradictory_row(folded.reduced))
+    proof: Any = _unfolded(folded, contradictory_constraint(folded.reduced))
     if proof is None and _is_sought(program):
         proof = prove_infeasible(program)
     return proof if proof is not None and proof.excludes(PROGRAM_TOLERANCE) else None
@@ -513,7 +513,7 @@ def multipliers_of_soft_rows(program: JudgedProgram, kinds: Any) -> list[Vector]
     return [np.clip(x, lower, upper), y] if is_shown else None
 
 
-def contradictory_row(program: QuadraticProgram) -> QPInfeasibility | None:
+def contradictory_constraint(program: QuadraticProgram) -> QPInfeasibility | None:
     """Return the proof by the row with the largest violation within the bounds; None if no single row suffices."""
     rows = program.constraints.within_bounds
     proofs = (with_bounds(program, {i: Fraction(sign)}) for i, sign in rows.contradictory_rows())
@@ -560,7 +560,7 @@ def prove_infeasible(program: QuadraticProgram, *, exactly: bool = True) -> QPIn
         return None
 
     def proven(y: farkas.Multipliers) -> QPInfeasibility | None:
-        for values in (y,) if exactly else (y, balance_multipliers(program, numbers(y))):
+        for values in (y,) if exactly else (y, balance_multipliers(program, as_doubles(y))):
             nonzero = {i: Fraction(value) for i, value in enumerate(values) if value}
             if (proof := with_bounds(program, nonzero)).margin > 0.0:
                 return proof
@@ -596,7 +596,7 @@ def prove_unbounded(program: QuadraticProgram, *, exactly: bool = True) -> QPUnb
 
 def _within_rows(proof: QPUnboundedness) -> QPUnboundedness | None:
     """Return the proof along a nearby direction that changes no row which it changes by rounding; None for no proof."""
-    rows, near = proof.program.matrices.terms.rows, numbers(proof.direction)
+    rows, near = proof.program.matrices.terms.rows, as_doubles(proof.direction)
     changes, terms = np.abs(rows @ near), abs(rows) @ np.abs(near)
     held = np.flatnonzero((changes <= DATA_ROUNDING * terms) & (terms > 0.0))
     free = (near != 0.0).tolist()
@@ -610,10 +610,10 @@ def _within_rows(proof: QPUnboundedness) -> QPUnboundedness | None:
 def _best_proof(
     conditions: farkas.LinearConstraints,
     first: float | None,
-    proven: Callable[[farkas.Multipliers], T | None],
+    proven: Callable[[farkas.Multipliers], Proven | None],
     *,
     exactly: bool,
-) -> T | None:
+) -> Proven | None:
     """Return the first proof that counts at the tolerances of programs, else the proof of the largest margin."""
     scale: farkas.FarkasProgram = farkas.FarkasProgram(conditions)
     vectors = conditions.q, conditions.lower, conditions.upper

@@ -13,7 +13,7 @@ import scipy.sparse as sp
 from numpy.typing import ArrayLike
 
 from ...core import checks
-from ...core.checks import AnyMatrix
+from ...core.checks import AnyMatrix, Indices
 from ...core.entries import largest_in_rows
 from ...core.errors import InvalidProblem, UnsupportedModel
 from ...core.kernels.floats import EPSILON, UNIT
@@ -21,7 +21,7 @@ from ...core.names import Names, checked_names, listed, shared_labels
 from ...core.problem import Problem, check_labels
 from ...core.rounding import compensated_pair, compensated_product
 from ...core.structure import mismatch
-from ...judges.program import Indices, JudgedProgram
+from ...judges.program import JudgedProgram
 from ...proofs.exact import like
 from .constraints import Constraints
 from .program_matrices import ProgramMatrices, as_array
@@ -119,7 +119,7 @@ class QuadraticProgram(Problem):
         n = vector.size
         if P is None or (np.isscalar(P) and P == 0):
             P = sp.csr_array((n, n))
-        P, asymmetry = symmetric(checks.rectangular_matrix(P, "P", n, n))
+        P, asymmetry = symmetrized(checks.rectangular_matrix(P, "P", n, n))
         rows, limits = _checked_rows(G, h, "G", "h", n, checks.checked_right_side)
         equations, right = _checked_rows(A, b, "A", "b", n, checks.checked_vector)
         below, above = checks.checked_bounds(lower, upper, n)
@@ -366,7 +366,7 @@ def _checked_rows(
     return checked, check(right, right_name, checked.shape[0])
 
 
-def symmetric(P: AnyMatrix) -> tuple[Any, float]:
+def symmetrized(P: AnyMatrix) -> tuple[Any, float]:
     """Return P with rounding errors in its symmetry averaged away, and the size of these errors."""
     if isinstance(P, np.ndarray) and np.array_equal(P, P.T):
         return P, 0.0

@@ -12,12 +12,13 @@ import numpy as np
 import scipy.sparse as sp
 from numpy.typing import NDArray
 
-from ...core.checks import DENSE_ABOVE_DENSITY, DENSE_UP_TO_SIZE, Vector, freeze_csr, read_only
+from ...core import checks
+from ...core.checks import Indices, Vector, freeze_csr, read_only
 from ...core.entries import count_entries, largest_in_rows, largest_products, or_one
 from ...core.matrix import Matrix
 from ...engines import is_installed
 from ...engines.solvers import kinds_of_rows
-from ...judges.program import BLUR, Indices, ProgramTerms
+from ...judges.program import BLUR, ProgramTerms
 from ...systems.definiteness import factorized, is_diagonal, is_semidefinite_to_rounding, scaled_to
 from ...systems.minimum_degree import factor_sizes
 from .fitted_units import fitted_units, roots
@@ -203,8 +204,8 @@ class ProgramMatrices:
         """Matrix [[P, Cᵀ], [−C, 0]] with C = [G; A]; an ndarray if it is small and full."""
         C, size = self.terms.rows, self.P.shape[0] + sum(self.sizes[:2])
         M = sp.block_array([[self.terms.sparse_P, C.T], [-C, None]], format="csr")
-        is_full = M.nnz > DENSE_ABOVE_DENSITY * size * size
-        return Matrix(M.toarray() if size <= DENSE_UP_TO_SIZE and is_full else M)
+        is_full = M.nnz > checks.DENSE_ABOVE_DENSITY * size * size
+        return Matrix(M.toarray() if size <= checks.DENSE_UP_TO_SIZE and is_full else M)
 
     @cached_property
     def fills_in(self) -> bool:

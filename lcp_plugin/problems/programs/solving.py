@@ -41,9 +41,9 @@ from .no_minimum import (
     NoMinimum,
     QPInfeasibility,
     QPUnboundedness,
+    as_doubles,
     known_proof,
     multipliers_of_soft_rows,
-    numbers,
     proof_of_contradiction,
     searched_proof,
 )
@@ -471,7 +471,7 @@ class ProgramRun(Run):
         if self.proof is not None:
             solution = QPSolution.none(program)
         elif isinstance(self.doubtful, QPUnboundedness) and is_rounding:
-            x = np.clip(numbers(self.doubtful.point), program.lower, program.upper)
+            x = np.clip(as_doubles(self.doubtful.point), program.lower, program.upper)
             solution = QPSolution.from_reduced(program, x, nearest(program)[1])
         if self.settings.verbose:
             say(

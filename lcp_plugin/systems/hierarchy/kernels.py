@@ -158,13 +158,13 @@ def _update_rows(matrix, flags, prolongation, restriction, coarse, space, first,
 
 
 # CSR arrays and the positions of the diagonal
-Matrix = tuple[NDArray[Any], NDArray[Any], NDArray[Any], Vector]
+GridMatrix = tuple[NDArray[Any], NDArray[Any], NDArray[Any], Vector]
 Vectors = tuple[Vector, ...]
 NO_BOUNDS = (read_only(np.zeros(0)),) * 2
 
 
 def residual_after_first_sweep(
-    rows: Matrix, blocks: RowBlocks, inverse: Vector, b: Vector, x: Vector, residual: Vector
+    rows: GridMatrix, blocks: RowBlocks, inverse: Vector, b: Vector, x: Vector, residual: Vector
 ) -> None:
     """Write b − M x after the first sweep into `residual`: row i was exact until later rows changed."""
     operands = read_only(inverse), -1.0, read_only(b)
@@ -174,19 +174,19 @@ def residual_after_first_sweep(
         whole(edge - blocks.reach, edge + blocks.reach)
 
 
-def free_product(rows: Matrix, inverse: Vector, x: Vector, product: Vector) -> None:
+def free_product(rows: GridMatrix, inverse: Vector, x: Vector, product: Vector) -> None:
     """Product ← M x on the free rows, 0 elsewhere."""
     inverse = read_only(inverse)
     shared(_product_of(rows, rows[0], 0, inverse, 1.0, inverse, 0.0, x, product), inverse.size)
 
 
-def _product_of(rows: Matrix, begins: Any, further: int, *operands: Any) -> Any:
+def _product_of(rows: GridMatrix, begins: Any, further: int, *operands: Any) -> Any:
     """Return a function of some rows, `_products`; the operands are inverse, sign, b, weight, x, product."""
     return partial(_products, rows[0], begins, further, *rows[2:], *operands)
 
 
 def mark_free(
-    rows: Matrix, vectors: Vectors, z: Vector, flags: tuple[BoolVector, ...], residual: Vector
+    rows: GridMatrix, vectors: Vectors, z: Vector, flags: tuple[BoolVector, ...], residual: Vector
 ) -> tuple[float, int]:
     """Find the free rows of z: rows strictly between their bounds, or pushed off the bound by w, and their changes.
 
@@ -205,7 +205,7 @@ def shared(work: Callable[[int, int], Any], rows: int) -> list[Any]:
 
 
 def sweep(
-    rows: Matrix,
+    rows: GridMatrix,
     blocks: RowBlocks,
     vectors: Vectors,
     x: Vector,

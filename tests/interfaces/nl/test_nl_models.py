@@ -21,7 +21,7 @@ from lcp_plugin.expressions.rows import Program
 from lcp_plugin.interfaces.nl import model_of, write_nl
 from lcp_plugin.interfaces.nl.expressions import UNKNOWNS, Expressions
 from lcp_plugin.interfaces.nl.reading import NLContent
-from lcp_plugin.modeling.registration import build
+from lcp_plugin.modeling.registration import model_of_constraints
 
 INFINITY = math.inf
 FUNCTIONS = ("tanh", "tan", "sqrt", "sinh", "sin", "log10", "log", "exp", "cosh", "cos", "atanh")
@@ -270,7 +270,7 @@ def test_affine_rows_are_the_lcp_that_cvxpy_states():
     M, q, z = random_pairs()
     model = model_of(paired(content_of(6, list(q), linear=M)))
     x = cp.Variable(6)
-    theirs = build([complements(x >= 0, M @ x + q >= 0)]).problem
+    theirs = model_of_constraints([complements(x >= 0, M @ x + q >= 0)]).problem
     assert isinstance(model.problem, LCP)
     assert isinstance(theirs, LCP)
     np.testing.assert_array_equal(model.problem.csr.toarray(), theirs.csr.toarray())

@@ -38,7 +38,7 @@ from lcp_plugin import (
     solve_batch,
 )
 from lcp_plugin.problems.cones.certificate import infeasibility_proof
-from lcp_plugin.problems.cones.methods import METHODS
+from lcp_plugin.problems.cones.methods import CONE_METHODS
 
 ONE = np.eye(3), [-1.0, 3.0, 4.0], 0.5
 FC, CP = FrictionalContact, ConeProblem
@@ -96,7 +96,7 @@ def test_each_method_solves_convex_problems(name, seed):
     assert exact_relative_residual(problem, result.z) <= tolerance
 
 
-@pytest.mark.parametrize("name", METHODS)
+@pytest.mark.parametrize("name", CONE_METHODS)
 def test_each_method_solves_a_contact_that_slides(name):
     """The impulse that friction allows, against the push."""
     result = solve(FrictionalContact(np.eye(3), [-1.0, 3.0, 4.0], 0.5), name)

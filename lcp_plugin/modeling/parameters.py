@@ -5,7 +5,7 @@ a parameter enters M and q only through the residual F(x; p) = M(p) z + q(p): wi
 dL = μᵀ ∂F/∂p, wherever p enters F. Substituted definitions return as additional rows:
 D u + … = 0 for the defined unknowns u moves them by −D⁻¹ ∂(D u + …)/∂p.
 
-Paths of cvxpy problems: parametric vectors are measured, points map back to variables.
+Paths of cvxpy problems are here also: parametric vectors are measured, points map back to variables.
 """
 
 from __future__ import annotations

@@ -1,16 +1,13 @@
 """Time stepping: one matrix, and a q that depends on the solution of the previous step.
 
-Time stepping on a narrow band: steps are solved one after the other, and checked in blocks.
-
-M may be tridiagonal with off-diagonal entries ≤ 0 and bounds on one side only, as in an American option. Each step
-is then one pass of :func:`~lcp_plugin.methods.banded.solve_one_sided`. On other bands a step runs
+On a narrow band, steps are solved one after the other, and checked in blocks. M may be tridiagonal with off-diagonal
+entries ≤ 0 and bounds on one side only, as in an American option. Each step is then one pass of
+:func:`~lcp_plugin.methods.banded.solve_one_sided`. On other bands a step runs
 :func:`~lcp_plugin.methods.banded.active_sets`.
 
-Derivative of a time-stepping run: the chain of its steps, forwards or backwards.
-
-With q_k = f_k + C z_{k−1} each step passes on dq_k = df_k + dC z_{k−1} + C dz_{k−1}. Backwards, a function L of all
-z has g_k = ∂L/∂z_k + Cᵀ ∂L/∂q_{k+1}, from which the derivative of the step computes ∂L/∂q_k. The gradients by M, C
-and the bounds are summed over the steps.
+The derivative of a run is the chain of its steps, forwards or backwards. With q_k = f_k + C z_{k−1} each step passes on
+dq_k = df_k + dC z_{k−1} + C dz_{k−1}. Backwards, a function L of all z has g_k = ∂L/∂z_k + Cᵀ ∂L/∂q_{k+1}, from which
+the derivative of the step computes ∂L/∂q_k. The gradients by M, C and the bounds are summed over the steps.
 """
 
 from __future__ import annotations

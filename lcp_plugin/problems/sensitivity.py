@@ -4,9 +4,7 @@ Within one active set z is smooth in M, q and the bounds. The free rows are stri
 rows are at a bound with w ≠ 0. A row at a bound with w = 0 is degenerate. z then has one-sided derivatives, each
 the solution of a small LCP on the free and the degenerate rows.
 
-Changes of the free rows: regular, least change if singular, one-sided at a kink.
-
-Derivatives of a batch, of contact problems also: stacked systems for small problems, single in doubtful cases.
+If the free rows are singular, the change is the least one. A batch has stacked systems, and single ones in doubt.
 
 References
 ----------

@@ -2,32 +2,23 @@
 
 For other subpackages: :func:`comparison_certificate` (v with ⟨M⟩v ≥ margin > 0).
 
-The verdicts of a report, one function each: tests from cheap to costly, and the evidence as text.
+Each verdict of a report is one function: tests from cheap to costly, and the evidence as text.
 
-Is ⟨M⟩ a nonsingular M-matrix? Found by any means, accepted only after a rigorous check.
+Is ⟨M⟩ a nonsingular M-matrix? Yes is proven by v > 0 with ⟨M⟩v > 0. No is proven by y ≥ 0, y ≠ 0 with ⟨M⟩y ≤ 0, since
+⟨M⟩⁻¹ ≥ 0 would make this y nonpositive. One solve gives either: with (I − D⁻¹|B|)x = 1, x > 0 is a valid v, else y =
+max(−x, 0) is strict on its support. Both are checked on M itself with the bounds of :mod:`lcp_plugin.core.rounding`;
+the verdict is undecided if rounding makes both fail.
 
-Yes is proven by v > 0 with ⟨M⟩v > 0. No is proven by y ≥ 0, y ≠ 0 with ⟨M⟩y ≤ 0, since ⟨M⟩⁻¹ ≥ 0 would make this y
-nonpositive. One solve gives either: with (I − D⁻¹|B|)x = 1, x > 0 is a valid v, else y = max(−x, 0) is strict on its
-support. Both are checked on M itself with the bounds of :mod:`lcp_plugin.core.rounding`; the verdict is undecided if
-rounding makes both fail.
-
-References
-----------
-Berman, Plemmons, *Nonnegative Matrices in the Mathematical Sciences*, SIAM 1994, ch. 6,
-doi:10.1137/1.9781611971262.
-
-Are all principal minors positive? A recursion over Schur complements in integers.
-
-A is a P-matrix exactly if a₁₁ > 0 and both A without its first row and column and the Schur complement of a₁₁ are.
-
-References
-----------
-M. J. Tsatsomeros, L. Li, *A recursive test for P-matrices*, BIT 40 (2000), doi:10.1023/A:1022367507760.
-
-Facts about a matrix: verdicts on demand, each with its evidence.
+Are all principal minors positive? A is a P-matrix exactly if a₁₁ > 0 and both A without its first row and column and
+the Schur complement of a₁₁ are.
 
 A summary lists the classes of M and a wrong sign: a matrix whose diagonal is negative throughout is
 often meant to be its negative.
+
+References
+----------
+Berman, Plemmons, *Nonnegative Matrices in the Mathematical Sciences*, SIAM 1994, ch. 6, doi:10.1137/1.9781611971262.
+M. J. Tsatsomeros, L. Li, *A recursive test for P-matrices*, BIT 40 (2000), doi:10.1023/A:1022367507760.
 """
 
 from __future__ import annotations

@@ -1,20 +1,15 @@
 """The nonlinear complementarity problem: callables and bounds, checked where they are called.
 
-The derivative of a function by differences: columns that share no row are moved together.
+A derivative by differences moves columns that share no row together (Curtis, Powell, Reid 1974,
+doi:10.1093/imamat/13.1.117).
 
-References
-----------
-A. R. Curtis, M. J. D. Powell, J. K. Reid, *On the estimation of sparse Jacobian matrices*, IMA J. Appl. Math. 13
-(1974), doi:10.1093/imamat/13.1.117.
+The criterion is the criterion of the LCP that F′(x) defines at x: x is SOLVED if it passes the criterion of LCPs
+(:mod:`lcp_plugin.judges.lcp`) for M = F′(x), q = F(x) − F′(x) x and the bounds, with F(x) for w. As for an LCP, each
+x_i is first moved to a bound whose distance is at most the step −F_i/d_i; F and F′ are evaluated again there, and the
+better of the two points is returned. A row with an infinite slope (√x at 0) counts with the slope 1. For an affine F
+these are the tests of the LCP.
 
-The criterion of a nonlinear problem: the criterion of the LCP that F′(x) defines at x.
-
-x is SOLVED if it passes the criterion of LCPs (:mod:`lcp_plugin.judges.lcp`) for M = F′(x), q = F(x) −
-F′(x) x and the bounds, with F(x) for w. As for an LCP, each x_i is first moved to a bound whose distance is at most the
-step −F_i/d_i; F and F′ are evaluated again there, and the better of the two points is returned. A row with an infinite
-slope (√x at 0) counts with the slope 1. For an affine F these are the tests of the LCP.
-
-Two clauses are added, because the linearization is not F, and because F(x) is not summed more accurately:
+Three clauses are added, because the linearization is not F, and because F(x) is not summed more accurately:
 
 - The reference is also at most the residual of F(z°), if that is defined and not 0: otherwise the reference grows
   without limit as x diverges. If z° solves a component of the linearization, ‖x − z°‖∞ takes the place of the residual

@@ -58,7 +58,7 @@ def solve_nonlinear(
         Algorithm for the linear complementarity problem of each step.
     tolerance : float
         SOLVED means that x passes the criterion of LCPs with this tolerance (:func:`lcp_plugin.solve`), for
-        M = F′(x), q = F(x) − F′(x) x, with F(x) for w and without rescaling of F. Two clauses are added:
+        M = F′(x), q = F(x) − F′(x) x, with F(x) for w and without rescaling of F. Three clauses are added:
         ``help("lcp_plugin.problems.nonlinear.data")``.
     max_iterations : int, default 100 000
         Newton steps.

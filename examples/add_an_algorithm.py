@@ -9,7 +9,7 @@ For τ < 1/‖M‖ it converges on every monotone problem, M symmetric or not. W
 game below circle indefinitely; with it they spiral into the equilibrium.
 
 An algorithm is a frozen dataclass with `iterates`. It has no clock, no tolerance and no status: `solve` adds these. A
-copy of the class in a file of `lcp_plugin/methods/` is an algorithm of this package, and its test is the second file.
+copy of the class in a file of `lcp_plugin/methods/`, with a line in `REGISTRY`, is an algorithm of this package.
 From a package of your own it is used as an object: solve(problem, Extragradient()).
 
 Source: Korpelevich, The extragradient method for finding saddle points and other problems, Ekonomika i

@@ -7,22 +7,22 @@ that guess the active set, active-set iterations and Lemke's path. Larger proble
 |---|---|---|
 | the direct methods (:mod:`lcp_plugin.solving.direct`) | a program's KKT form, or a bimatrix game | |
 | banded | a narrow band, predicted to take the time of 150 sweeps | |
-| npsor, relaxation 1.7, row scaling 1/d | the diagonal is positive | another stage is cheaper |
-| psor with automatic relaxation | the diagonal is positive; predicted cheaper than the stages below | the same |
+| npsor, relaxation 1.7, row scaling 1/d | the diagonal is positive | 3 sweeps, unless 10 more are enough |
+| psor with automatic relaxation | the same; on a large symmetric M, if predicted cheaper than multigrid | its work is the next stage's, and its rate too small |
 | multigrid | M is sparse, n > 1000, positive diagonal | 270 passes, and factorizations are cheaper |
 | psor | a factorization is predicted to be too large | |
 | the direct methods | | |
 
-So the projected-type iteration comes first if no faster way is seen: it converges for every H₊-matrix and costs no
-analysis of M. A stage of sweeps is over if its work so far and the sweeps that it still needs at its rate exceed 1.5
-times the work of the next stage. The work of psor is predicted as 3 √s sweeps if npsor needs s, at least 20; the work
-of multigrid as 90 passes and its calls, 2.5 times that for a flow (`has_flow`); the work of the direct methods by n.
+So the projected-type iteration comes first: it converges for every H₊-matrix and costs no analysis of M. No rate of a
+few sweeps forecasts the rest if M is not symmetric: psor may take 10 sweeps, or thousands. So it is not left before its
+work is that of the next stage, and both together cost at most about twice the better of the two. The work of multigrid
+is predicted by n, the work of the direct methods by n and the nonzeros of M.
 
-The first sweeps are the quickest: they smooth the error, and only then its slowest part shows. So after one sweep on a
-large symmetric M the free unknowns F are measured too: Gauss–Seidel takes ln R/2λ sweeps to reduce the residual by a
-factor R, λ least with D⁻¹M_FF x = λx. On a cube of any dimension λ = π²h²/2, h = 1ᵀM_FF 1/1ᵀD_F 1, and λ is never
-below the least sum of a row of D⁻¹M_FF. The larger λ of the two counts, and never more than √R sweeps, because in
-the plane a localized residual falls as 1/k².
+On a large symmetric M there is a forecast. The first sweeps are the quickest: they smooth the error, and only then its
+slowest part shows. So after one sweep the free unknowns F are measured: Gauss–Seidel takes ln R/2λ sweeps to reduce the
+residual by a factor R, λ least with D⁻¹M_FF x = λx. On a cube of any dimension λ = π²h²/2, h = 1ᵀM_FF 1/1ᵀD_F 1, and λ
+is never below the least sum of a row of D⁻¹M_FF. The larger λ of the two counts, and never more than √R sweeps, because
+in the plane a localized residual falls as 1/k². If npsor needs s sweeps, psor is predicted to need 3 √s.
 
 Decisions never depend on measured time, so that a repeated call gives the identical result.
 """
@@ -36,7 +36,6 @@ import numpy as np
 
 from ..core.algorithm import Algorithm, count_driven_sweeps
 from ..core.lcp import LCP
-from ..core.matrix import Matrix, fact
 from ..core.splittings import NPSOR, PSOR
 from ..core.structure import is_nearly_symmetric
 from ..core.sweep_data import has_positive_diagonal
@@ -55,6 +54,7 @@ SWEEPING: dict[str, Algorithm] = {
     algorithm.name: algorithm
     for algorithm in (NPSOR(scaling="diagonal"), PSOR(), Multigrid(hands_over=True))
 }
+QUICK = 10.0  # sweeps that psor takes at least
 PATIENCE = 1.5  # a stage is left if its work exceeds this multiple of the work of the next stage
 
 
@@ -103,25 +103,26 @@ def repeated(last: StageRecord) -> Stage | None:
 def _sweeping_stages(problem: LCP, goal: float) -> Iterator[Stage]:
     """Yield npsor, psor and multigrid, which need a positive diagonal."""
     direct, cycles = _direct_passes(problem), _cycle_passes(problem)
+    best = min(direct, cycles)
+    is_forecast = cycles < math.inf and is_nearly_symmetric(problem.matrix)
 
     def is_trial_over(stage: Stage) -> bool:
-        if stage.iterations == 1 and cycles < math.inf:  # squared: one sweep is a weak forecast
+        if stage.iterations == 1 and is_forecast:  # squared: one sweep is a weak forecast
             return fewest_sweeps(problem, stage, goal) > PATIENCE**2 * cycles
-        if stage.iterations < 3:
-            return False
-        needed, best = stage.steps_to_go(goal), min(_psor_passes(0.0), direct)
-        is_near = 0.0 < needed <= best  # 0: the residual is small, but the componentwise test fails
-        return not is_near and stage.work + needed > PATIENCE * best
+        is_near = stage.work <= 3.0 * QUICK and stage.steps_to_go(goal) <= QUICK
+        return stage.iterations >= 3 and not is_near
 
     def is_too_slow(stage: Stage) -> bool:
         if stage.iterations < 40 or stage.iterations % ASKED_EVERY:
             return False
-        return stage.work + stage.steps_to_go(goal) > PATIENCE * min(direct, cycles)
+        if not is_forecast and stage.work < best:
+            return False
+        return stage.work + stage.steps_to_go(goal) > PATIENCE * best
 
     why = "cheap sweeps over the rows come first; their rate decides the next stage"
     yield (npsor := Stage(SWEEPING["npsor"], why, is_trial_over))
     sweeps = max(npsor.steps_to_go(goal), fewest_sweeps(problem, npsor, goal))
-    if _psor_passes(sweeps) <= min(direct, cycles):
+    if not is_forecast or 3.0 * math.sqrt(sweeps) <= best:
         yield Stage(SWEEPING["psor"], "sweeps with automatic relaxation", is_too_slow)
     if cycles < math.inf:
 
@@ -138,43 +139,18 @@ def _sweeping_stages(problem: LCP, goal: float) -> Iterator[Stage]:
             yield Stage(SWEEPING["psor"], "a factorization of M is predicted to be too large")
 
 
-def _psor_passes(sweeps: float) -> float:
-    """Return the predicted work of psor if npsor needs so many sweeps."""
-    return max(20.0, 3.0 * math.sqrt(sweeps))
-
-
 def _cycle_passes(problem: LCP) -> float:
     """Return the predicted work of multigrid in passes over M; ∞ if it does not suit."""
     if problem.matrix.is_dense or problem.n <= DIRECT_UP_TO:
         return math.inf
-    # On few rows the calls on all levels cost as much as the passes. With a flow, a solve takes the time of 260 to 930
-    # sweeps, otherwise of 190 to 310.
-    passes = 90.0 + 350_000.0 / problem.n
-    return 2.5 * passes if has_flow(problem.matrix) else passes
-
-
-@fact
-def has_flow(matrix: Matrix) -> bool:
-    """Return whether neighbors weigh differently upstream and downstream: m_ij/m_ii and m_ji/m_jj, in 1000 rows.
-
-    The median of their ratio is 1 to 1.1 for diffusion, for any scaling of the rows; 7 to 9 for flows of which the mesh
-    resolves no layer; and above 1000 for random units of the unknowns, which hide a flow.
-    """
-    M = matrix.csr
-    i = np.linspace(0, matrix.n - 1, 1000).astype(np.int64)
-    j = M.indices[M.indptr[i]]  # of the first entry of each row
-    forward, backward = (abs(M[a, b]) / matrix.diagonal[a] for a, b in ((i, j), (j, i)))
-    least, most = np.minimum(forward, backward), np.maximum(forward, backward)
-    is_pair = (i != j) & (least > 0.0)
-    ratios = most[is_pair] / least[is_pair]
-    return bool(ratios.size) and 2.0 < float(np.median(ratios)) < 100.0
+    # On few rows the calls on all levels cost as much as the passes; with them, a solve takes the time of 190 to 310.
+    return 90.0 + 350_000.0 / problem.n
 
 
 def _direct_passes(problem: LCP) -> float:
     """Return the predicted work of the direct methods in passes over M; ∞ on large sparse M."""
     if problem.matrix.is_dense:
-        # A third of the measured work of interior_point, because npsor seems faster than it is.
-        return 10.0 if is_nearly_symmetric(problem.matrix) else max(10.0, 0.25 * problem.n)
+        return 0.05 * problem.n
     if problem.n > DIRECT_UP_TO:
         return math.inf
     entries = min(12_500.0 * problem.n, 0.06 * problem.n**3)  # that factorizations touch

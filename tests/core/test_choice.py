@@ -8,6 +8,40 @@ import scipy.sparse as sp
 
 from lcp_plugin import LCP, QuadraticProgram, Status, solve
 
+# --- The trial of sweeps ------------------------------------------------------------------------------------------
+
+
+def dominant(n: int, excess: float) -> LCP:
+    """Return a sparse H₊-matrix that is not symmetric, with a known solution."""
+    rng = np.random.default_rng(0)
+    M = sp.random(n, n, density=5 / n, random_state=rng, data_rvs=rng.standard_normal).tolil()
+    M.setdiag(0.0)
+    M.setdiag(excess * np.maximum(np.asarray(abs(M.tocsr()).sum(1)).ravel(), 1.0))
+    z = np.maximum(rng.standard_normal(n), 0.0)
+    w = np.where(z > 0.0, 0.0, np.abs(rng.standard_normal(n)))
+    return LCP(M.tocsr(), w - M @ z)
+
+
+@pytest.mark.quick(1)
+@pytest.mark.parametrize(("n", "excess"), [(10_000, 1.05), (2000, 1.5)])
+def test_auto_keeps_sweeping_over_a_dominant_matrix(n, excess):
+    """A few sweeps forecast nothing if M is not symmetric: auto has no more than four times the work of psor."""
+    problem = dominant(n, excess)
+    result = solve(problem)
+    assert result.is_solved
+    assert result.work <= 4.0 * solve(problem, "psor").work
+
+
+def test_auto_on_a_flow_has_twice_the_work_of_the_better_method_at_most():
+    """Slow diffusion suits multigrid, fast convection psor; auto does not know, and its trial is bounded."""
+    for speed in (1.0, 100.0):
+        one = sp.diags_array([-1.0 - speed, 2.0 + speed, -1.0], offsets=[-1, 0, 1], shape=(60, 60))
+        M = sp.kron(one, sp.eye_array(60)) + sp.kron(sp.eye_array(60), one)
+        problem = LCP(M, np.random.default_rng(0).standard_normal(3600) - 0.2)
+        works = [solve(problem, name).work for name in ("auto", "psor", "multigrid")]
+        assert works[0] <= 2.0 * min(works[1:]) + 10.0
+
+
 # --- What runs end with ------------------------------------------------------------------------------------------
 
 

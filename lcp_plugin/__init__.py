@@ -69,7 +69,7 @@ _HOME = {
         "problems.sensitivity": "derivative",
         "problems.variational": "variational",
         "proofs.bounds": "error_bound",
-        "proofs.verdicts": "analyze",
+        "solving.analysis": "analyze",
         "solving.explanation": "convergence_guarantee",
         "solving.result": "Result",
     }.items()

@@ -46,9 +46,9 @@ from .problems.reformulations import lcp_from_bimatrix_game
 from .problems.sensitivity import derivative as derivative
 from .problems.variational import variational as variational
 from .proofs.bounds import error_bound as error_bound
-from .proofs.verdicts import analyze as analyze
 from .ranks.petsc import RowsOnPETSc
 from .ranks.problem import RowsOnRanks
+from .solving.analysis import analyze as analyze
 from .solving.explanation import convergence_guarantee as convergence_guarantee
 from .solving.result import Result as Result
 

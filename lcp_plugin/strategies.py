@@ -59,7 +59,7 @@ from .judges.worst_rows import pair_text
 from .problems.programs.conversion import QuadraticProgram
 from .proofs.exact import exact_residuals, exact_slack, is_exact_solution, rational
 from .proofs.no_solution import Infeasibility
-from .proofs.verdicts import analyze
+from .proofs.verdicts import MatrixReport
 
 __all__ = [
     "QPAnswer",
@@ -663,7 +663,7 @@ def _verdict(
             return f"it modified its input {name}", None
     if z is not None:
         return check_solution(problem, z, truth, tolerance, error_tolerance), z
-    if may_give_up or (truth is None and not analyze(problem.M).is_p_matrix):
+    if may_give_up or (truth is None and not MatrixReport(problem.M).is_p_matrix):
         return "", None
     return f"it gave up ({reason}) on a problem that has a solution", None
 
@@ -705,7 +705,7 @@ def check_solution(
     pairs = zip(z.tolist(), truth, strict=True)
     distance = max(abs(Fraction(value) - exact) for value, exact in pairs)
     size = 1 + max(map(abs, truth))
-    if distance <= Fraction(error_tolerance) * size or not analyze(problem.M).is_p_matrix:
+    if distance <= Fraction(error_tolerance) * size or not MatrixReport(problem.M).is_p_matrix:
         return ""
     return f"z is far from the exact answer: by {float(distance):g}, though its residual is small"
 

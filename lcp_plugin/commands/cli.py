@@ -181,11 +181,12 @@ def solve(
 
 @command("analyze", "0 done, 2 bad input", "analyze paper_example_1")
 def analyze(target: Target) -> None:
-    """Print the classes of the matrix, with proofs, and which algorithms are proved to converge on it."""
+    """Print facts about a problem and the plan of auto; of an LCP also which algorithms are proved to converge."""
     from .reports import analysis
-    from .solving import read_lcp
+    from .solving import read_target
 
-    typer.echo(analysis(read_lcp(target, "lcp-plugin analyze").problem))
+    problem = read_target(target).problem
+    typer.echo(analysis(getattr(problem, "problem", problem)))  # of an .nl file
 
 
 @command(

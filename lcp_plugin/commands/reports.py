@@ -14,7 +14,8 @@ from ..core.lcp import LCP
 from ..engines import ENGINES, engine_class
 from ..evidence.measurement import PAPER_MSOR
 from ..problems.cones.methods import CONE_METHODS
-from ..proofs.verdicts import analyze, wrapped
+from ..proofs.verdicts import wrapped
+from ..solving.analysis import analyze
 from ..solving.explanation import convergence_guarantee
 
 _PAPER = ("npj", "npgs", "npsor", "npaor", "npsplitting", "mgs")
@@ -23,15 +24,18 @@ PAPER_VARIANTS = {name: paper_options(name) for name in _PAPER} | {
 }
 
 
-def analysis(problem: LCP) -> str:
-    """Return the report on the matrix and the guarantees as text for a terminal.
+def analysis(problem: object) -> str:
+    """Return the report on a problem, and the guarantees for an LCP, as text for a terminal.
 
     Examples
     --------
     >>> print(analysis(LCP([[4, -1], [-1, 4]], [-3, 5])).splitlines()[0])
-    matrix of size 2, 4 nonzeros
+    LCP(n=2, nonzeros=4, bounds 0 ≤ z)
     """
-    lines = [str(analyze(problem)), "", f"{'algorithm':<25} {'verdict':<12} {'rate':<8} because"]
+    report = str(analyze(problem))
+    if not isinstance(problem, LCP):
+        return report
+    lines = [report, "", f"{'algorithm':<25} {'verdict':<12} {'rate':<8} because"]
     first: dict[str, str] = {}
     variants: list[tuple[str, dict[str, Any]]] = [(name, {}) for name in ("auto", *REGISTRY)]
     for name, options in (*variants, *PAPER_VARIANTS.items()):

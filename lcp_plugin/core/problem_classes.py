@@ -26,13 +26,16 @@ class ProblemClass(NamedTuple):
     solver : str
         Module, from the package on, and function.
     functions : str
-        Functions that take the class, or its results, in addition to `solve` and `solve_batch`.
+        Functions that take the class, or its results, in addition to `solve`, `solve_batch` and `analyze`.
     options : str
         Options that the solver passes on to Settings; "" if it names all in its signature.
     criterion : str
         Module and function that return the data of the stopping criterion at a point, for rows of pairs.
     verdict : str
         Module and function that return the fields of the verdict on a point, for other classes.
+    plan : str
+        Module and function for `analyze`: they return the letter of a matrix, the matrix or None, the names of its
+        verdicts (None for all), and the stages of auto.
     batch : str
         Arguments with which one problem makes a batch.
     """
@@ -42,6 +45,7 @@ class ProblemClass(NamedTuple):
     options: str = ""
     criterion: str = ""
     verdict: str = ""
+    plan: str = ""
     batch: str = "[problem]"
 
 
@@ -50,12 +54,14 @@ CONE_CLASS = ProblemClass(
     "march derivative certify",
     f"{WATCHED} absolute_tolerance prove_infeasibility",
     "problems.cones.certificate:criterion_at",
+    plan="problems.cones.solving:planned",
 )
 CLASSES = {
     "LCP": ProblemClass(
         "solving.lcp_solver:solve_lcp",
         "prepare march trace derivative certify",
         criterion="judges.lcp:criterion_at",
+        plan="solving.plan:planned",
         batch="problem, Q",
     ),
     "NonlinearProblem": ProblemClass(
@@ -63,22 +69,26 @@ CLASSES = {
         "prepare march trace derivative certify",
         f"{WATCHED} absolute_tolerance",
         "problems.nonlinear.solving:criterion_at",
+        plan="problems.nonlinear.solving:planned",
     ),
     "QuadraticProgram": ProblemClass(
         "problems.programs.solving:solve_program",
         "prepare trace derivative certify",
+        plan="problems.programs.solving:planned",
         batch="program, C",
     ),
     "EquilibriumProgram": ProblemClass(
         "problems.equilibria.branch_and_bound:minimize_over_solutions",
         "certify",
         verdict="problems.equilibria.certificate:verdict_at",
+        plan="problems.equilibria.branch_and_bound:planned",
     ),
     "BoundedLeastSquares": ProblemClass(
         "problems.least_squares.solving:solve_least_squares",
         "prepare trace derivative certify",
         WATCHED,
         verdict="problems.least_squares.solving:verdict_at",
+        plan="problems.least_squares.solving:planned",
         batch="problem, B",
     ),
     "ConeProblem": CONE_CLASS,
@@ -88,7 +98,7 @@ CLASSES = {
 
 def classes_of(function: str) -> list[str]:
     """Return the names of the classes that a function takes; LCP alone if the table does not name it."""
-    if function in ("solve", "solve_batch"):
+    if function in ("solve", "solve_batch", "analyze"):
         return [*CLASSES]
     return [name for name, row in CLASSES.items() if function in row.functions.split()] or ["LCP"]
 

@@ -14,11 +14,11 @@ True
 >>> bool(bound.componentwise.max() < 0.2)
 True
 
-**Verdicts.** `analyze` returns True, False or None (undecided). True and False are proved for the stored
-double-precision data. M is an H₊-matrix if its diagonal is positive and ⟨M⟩v > 0 for some v > 0, with ⟨M⟩ the
-comparison matrix; the report keeps such a v. P-matrices are decided up to n = 16, or by a sufficient class. Positive
-semidefinite is exact up to n = 10; beyond that a singular matrix stays undecided, and the evidence is λ_min ≥ −δ, with
-the value of δ.
+**Verdicts.** `analyze` of a matrix, or of a problem's matrix, returns True, False or None (undecided). True and False
+are proved for the stored double-precision data. M is an H₊-matrix if its diagonal is positive and ⟨M⟩v > 0 for some
+v > 0, with ⟨M⟩ the comparison matrix; the report keeps such a v. P-matrices are decided up to n = 16, or by a
+sufficient class. Positive semidefinite is exact up to n = 10; beyond that a singular matrix stays undecided, and the
+evidence is λ_min ≥ −δ, with the value of δ.
 
 **Error bounds** exist for H₊-matrices and if the symmetric part is proven positive definite; they include all
 rounding errors. Other matrices have no bound. If a factorization would fill in too much (3-D grids above about 40³,

@@ -53,7 +53,7 @@ from ..core.kernels.floats import EPSILON, TINY, UNDERFLOW
 from ..core.lcp import LCP
 from ..core.sweep_data import inverse_residual_scale, triangle_sums, unit_triangle_sums
 from ..core.tuning import CHEAP_UP_TO
-from .verdicts import analyze, comparison_certificate, h_plus
+from .verdicts import MatrixReport, comparison_certificate, h_plus
 
 Weights = Vector | float
 
@@ -334,7 +334,7 @@ def guarantee_of(problem: LCP, algorithm: Algorithm) -> Guarantee:
         return Guarantee(GUARANTEED, "the problem has no rows")
     try:
         facts = algorithm.facts(problem)
-        theorem = algorithm.theorem(problem, analyze(problem)) if facts is None else None
+        theorem = algorithm.theorem(problem, MatrixReport(problem)) if facts is None else None
     except (UnsuitableMatrix, UnsuitableProblem) as error:
         return Guarantee(NOT_COVERED, "it cannot run on this problem", remedy=str(error))
     if theorem is not None:
@@ -416,5 +416,5 @@ def _positive_definite(problem: LCP, facts: IterationFacts) -> str | None:
 
 
 def _is_positive_definite(problem: LCP) -> bool:
-    report = analyze(problem)
+    report = MatrixReport(problem)
     return bool(report.is_symmetric and report.is_positive_definite)

@@ -24,7 +24,7 @@ M. J. Tsatsomeros, L. Li, *A recursive test for P-matrices*, BIT 40 (2000), doi:
 from __future__ import annotations
 
 import textwrap
-from collections.abc import Callable
+from collections.abc import Callable, Iterable
 from dataclasses import dataclass
 from fractions import Fraction
 from typing import Any, NamedTuple
@@ -34,12 +34,11 @@ import scipy.sparse as sp
 
 from ..core.checks import AnyMatrix, Vector, read_only
 from ..core.entries import largest_in_rows, max_norm, row_numbers, with_entries
-from ..core.errors import InvalidProblem
 from ..core.kernels.floats import TINY, UNIT
 from ..core.matrix import Matrix, fact
-from ..core.problem_classes import class_of, refusal
+from ..core.names import format_count
 from ..core.rounding import lower_end, upper_end
-from ..core.structure import triangular_form
+from ..core.structure import connected_components, triangular_form
 from ..systems import definiteness, graph
 from ..systems.definiteness import is_positive_definite
 from ..systems.factors import factor_fits
@@ -464,7 +463,12 @@ class MatrixReport:
     Parameters
     ----------
     matrix : LCP, array or sparse array, shape (n, n)
-        Matrix of the report; :func:`analyze` makes one report per matrix.
+        Matrix of the report. Reports on one LCP, and on LCPs with one matrix, share what is computed.
+
+    Raises
+    ------
+    InvalidProblem
+        If M is not a real, finite, square matrix.
 
     Attributes
     ----------
@@ -473,7 +477,7 @@ class MatrixReport:
 
     Examples
     --------
-    >>> report = analyze([[2, -1], [-1, 2]])
+    >>> report = MatrixReport([[2, -1], [-1, 2]])
     >>> report.is_m_matrix, report.is_positive_definite, report.is_p_matrix
     (True, True, True)
     >>> report.evidence["is_strictly_dominant"]
@@ -492,8 +496,13 @@ class MatrixReport:
     is_triangular = Claim("triangular", triangular)
     is_irreducible = Claim("irreducible", irreducible)
 
-    def __init__(self, matrix: AnyMatrix) -> None:
-        self.matrix = matrix_of(matrix)
+    symbol: str = "matrix"
+    #: Names of the verdicts that are printed.
+    claims: Iterable[str] = CLAIMS
+
+    def __init__(self, matrix: Any) -> None:
+        matrix = getattr(matrix, "matrix", matrix)
+        self.matrix = matrix if isinstance(matrix, Matrix) else Matrix(matrix)
         self.n = self.matrix.n
 
     @property
@@ -509,7 +518,7 @@ class MatrixReport:
     @property
     def evidence(self) -> dict[str, str]:
         """The reasons of all verdicts, by name."""
-        return {name: self.verdict(name).evidence for name in CLAIMS}
+        return {name: self.verdict(name).evidence for name in self.claims}
 
     @np.errstate(all="ignore")  # an overflow fails the check
     def verdict(self, name: str) -> Verdict:
@@ -525,63 +534,23 @@ class MatrixReport:
         return CLAIMS[name].decide(self.matrix)
 
     def __str__(self) -> str:
-        lines = [f"matrix of size {self.n}, {self.matrix.nonzeros} nonzeros"]
-        for name, claim in CLAIMS.items():
+        matrix, labels = self.matrix, connected_components(self.matrix)
+        kind = "dense" if matrix.is_dense else "sparse"
+        parts = format_count(1 if labels is None else int(labels.max()) + 1, "component")
+        lines = [f"{self.symbol} of size {self.n}, {matrix.nonzeros} nonzeros, {kind}, {parts}"]
+        for name in self.claims:
             value, evidence = self.verdict(name)
-            lines += wrapped(f"{claim.title:<29} {WORDS[value]:<10} ", evidence)
+            lines += wrapped(f"{CLAIMS[name].title:<29} {WORDS[value]:<10} ", evidence)
         return "\n".join(lines)
 
     def __repr__(self) -> str:
         return f"MatrixReport(n={self.n}, nonzeros={self.matrix.nonzeros})"
 
 
-@np.errstate(all="ignore")
-def analyze(M: AnyMatrix) -> MatrixReport:
-    """Return the classes of a matrix, or of a problem's matrix; each verdict is proved.
-
-    Parameters
-    ----------
-    M : array, sparse array or LCP, shape (n, n)
-        Real, finite. For an LCP the report is shared by all problems with this matrix.
-
-    Raises
-    ------
-    InvalidProblem
-        If M is not a real, finite, square matrix.
-
-    Notes
-    -----
-    Each verdict is computed on first access; ``print(report)`` computes all of them.
-
-    Examples
-    --------
-    >>> report = analyze([[2.0, -3.0], [1.0, 2.0]])
-    >>> report.is_h_plus, report.is_positive_definite
-    (True, True)
-    >>> analyze([[1, 2], [2, 1]]).evidence["is_p_matrix"]
-    'symmetric: the principal minor of rows 0, 1 is not positive'
-    """
-    return _report(matrix_of(M))
-
-
-def matrix_of(M: AnyMatrix) -> Matrix:
-    """Return the `Matrix` of a problem or an array; a `Matrix` is returned unchanged."""
-    if class_of(M) not in (None, "LCP"):
-        raise InvalidProblem(refusal("analyze", M))
-    matrix = getattr(M, "matrix", M)
-    return matrix if isinstance(matrix, Matrix) else Matrix(M)
-
-
 def wrapped(title: str, text: str) -> list[str]:
     """Return the text next to its title, in lines of at most 100 columns."""
     lines = textwrap.wrap(text, 100, initial_indent=title, subsequent_indent=" " * len(title))
     return lines or [title.rstrip()]
-
-
-@fact
-def _report(matrix: Matrix) -> MatrixReport:
-    """Return the only report on the matrix."""
-    return MatrixReport(matrix)
 
 
 @fact

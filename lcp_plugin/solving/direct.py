@@ -43,7 +43,7 @@ from ..methods.lemke.pivoting_path import is_game
 from ..methods.newton import Newton
 from ..methods.search import ExhaustiveSearch, FeasibilityCheck, has_few_active_sets, is_searchable
 from ..proofs.no_solution import contradictory_row
-from ..proofs.verdicts import analyze, is_negative
+from ..proofs.verdicts import MatrixReport, is_negative
 from ..systems.definiteness import is_semidefinite_to_rounding, symmetric_part
 from ..systems.factors import factor_fits, sizes_of_factor
 from .explanation import last_resort
@@ -82,7 +82,8 @@ def direct_methods(
         if ZeroSumGame.of(problem) is not None:
             yield Stage(InteriorPoint(), "a zero-sum game: a linear program")
         paths = partial(_exceeds_pivots, problem=problem, most=GAME_PIVOTS)
-        yield Stage(Lemke(), "a game: Lemke and Howson's paths, one a label", paths)
+        until = f"{GAME_PIVOTS:.0f} n pivots"
+        yield Stage(Lemke(), "a game: Lemke and Howson's paths, one a label", paths, until)
     unfit = _too_large(problem) | ({"lemke"} if game else set())
     unfit |= set() if prove_infeasibility else {"feasibility"}
     unfit |= set() if has_piqp() else {"interior_point"}
@@ -92,7 +93,7 @@ def direct_methods(
     elif (
         "newton" not in unfit
         and has_positive_diagonal(problem.matrix).all()
-        and analyze(problem).is_z_matrix
+        and MatrixReport(problem).is_z_matrix
     ):
         yield newton
         unfit.add("newton")
@@ -148,10 +149,11 @@ def _order(
     is_symmetric = is_nearly_symmetric(problem.matrix)
     # The factorization of such an M is dense in any storage.
     is_full = problem.is_dense or problem.nonzeros > 0.25 * problem.n**2
-    steps = partial(_exceeds_steps, goal=goal)
-    pivots = partial(_exceeds_pivots, problem=problem, most=2.0 if is_positive else GAME_PIVOTS)
+    steps = partial(_exceeds_steps, goal=goal), "20 steps, if 20 more are not enough"
+    most = 2.0 if is_positive else GAME_PIVOTS
+    pivots = partial(_exceeds_pivots, problem=problem, most=most), f"{most:.0f} n pivots"
     if not is_full and is_positive and problem.n > PIVOTS_FIRST_UP_TO:
-        lemke.is_over = pivots
+        lemke.is_over, lemke.until = pivots
     if _seems_monotone(problem):
         if (skew_border(problem.matrix)[0] != 1.0).any():  # a program, after a scaling of rows
             return [interior, check, newton, lemke]
@@ -161,22 +163,22 @@ def _order(
             first = Stage(few, "some pivots, before a factorization of a dense M")
             return [first, interior, check, newton, lemke]
         if is_full and not is_symmetric:
-            lemke.is_over = pivots
+            lemke.is_over, lemke.until = pivots
             return [lemke, interior, check, newton]
         # Factorizing the program with M in its rows takes 4 to 11 times as many operations.
         if is_positive and not is_symmetric and sizes_of_factor(problem.matrix)[1] > 1e8:
-            newton.is_over = steps
+            newton.is_over, newton.until = steps
             return [newton, interior, check, lemke]
         return [interior, check, newton, lemke]
-    newton.is_over = steps
+    newton.is_over, newton.until = steps
     # On frictional contact a path takes .1 (600 rows) to .4 (1 800 rows) of PIQP's time.
     up_to = PIVOTS_FIRST_UP_TO if is_positive else 2000
     if problem.is_dense or problem.n <= up_to:
         if is_positive:
-            lemke.is_over = pivots
+            lemke.is_over, lemke.until = pivots
             return [newton, lemke, interior, check]
         # An arbitrary start takes an inverse: all of them take ten times as long as an interior point.
-        path = Stage(Lemke(restarts=0), "pivoting needs no property of M", pivots)
+        path = Stage(Lemke(restarts=0), "pivoting needs no property of M", *pivots)
         return [path, interior, check, newton, lemke]
     return [newton, interior, check, lemke] if is_positive else [interior, newton, check, lemke]
 

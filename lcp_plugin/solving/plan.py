@@ -8,15 +8,15 @@ that guess the active set, active-set iterations and Lemke's path. Larger proble
 | the direct methods (:mod:`lcp_plugin.solving.direct`) | a program's KKT form, or a bimatrix game | |
 | banded | a narrow band, predicted to take the time of 150 sweeps | |
 | npsor, relaxation 1.7, row scaling 1/d | the diagonal is positive | 3 sweeps, unless 10 more are enough |
-| psor with automatic relaxation | the same; on a large symmetric M, if predicted cheaper than multigrid | its work is the next stage's, and its rate too small |
+| psor, automatic relaxation | the same; on large symmetric M if predicted cheaper | the work of the next stage |
 | multigrid | M is sparse, n > 1000, positive diagonal | 270 passes, and factorizations are cheaper |
 | psor | a factorization is predicted to be too large | |
 | the direct methods | | |
 
 So the projected-type iteration comes first: it converges for every H₊-matrix and costs no analysis of M. No rate of a
 few sweeps forecasts the rest if M is not symmetric: psor may take 10 sweeps, or thousands. So it is not left before its
-work is that of the next stage, and both together cost at most about twice the better of the two. The work of multigrid
-is predicted by n, the work of the direct methods by n and the nonzeros of M.
+work equals the predicted work of the next stage, and both together cost about twice the better of the two, at most. The
+work of multigrid is predicted by n, the work of the direct methods by n and the nonzeros of M.
 
 On a large symmetric M there is a forecast. The first sweeps are the quickest: they smooth the error, and only then its
 slowest part shows. So after one sweep the free unknowns F are measured: Gauss–Seidel takes ln R/2λ sweeps to reduce the
@@ -31,11 +31,13 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterator
+from typing import Any
 
 import numpy as np
 
 from ..core.algorithm import Algorithm, count_driven_sweeps
 from ..core.lcp import LCP
+from ..core.settings import DEFAULT
 from ..core.splittings import NPSOR, PSOR
 from ..core.structure import is_nearly_symmetric
 from ..core.sweep_data import has_positive_diagonal
@@ -54,7 +56,8 @@ SWEEPING: dict[str, Algorithm] = {
     algorithm.name: algorithm
     for algorithm in (NPSOR(scaling="diagonal"), PSOR(), Multigrid(hands_over=True))
 }
-QUICK = 10.0  # sweeps that psor takes at least
+CHEAP = "cheap sweeps over the rows come first; their rate decides the next stage"
+ACCELERATED = "sweeps with automatic relaxation; on a large symmetric M if predicted cheaper"
 PATIENCE = 1.5  # a stage is left if its work exceeds this multiple of the work of the next stage
 
 
@@ -91,6 +94,11 @@ def plan(
     yield from direct_methods(problem, goal, prove_infeasibility=prove_infeasibility)
 
 
+def planned(problem: LCP) -> tuple[str, Any, None, Iterator[Stage]]:
+    """Return the matrix and the stages of an LCP for `analyze`; see `ProblemClass.plan`."""
+    return "M", problem.matrix, None, plan(problem, None, DEFAULT.goal)
+
+
 def repeated(last: StageRecord) -> Stage | None:
     """Return the method that solved the step before, with three times its work; None if it is not one of SWEEPING."""
     algorithm = SWEEPING.get(last.name)
@@ -105,25 +113,25 @@ def _sweeping_stages(problem: LCP, goal: float) -> Iterator[Stage]:
     direct, cycles = _direct_passes(problem), _cycle_passes(problem)
     best = min(direct, cycles)
     is_forecast = cycles < math.inf and is_nearly_symmetric(problem.matrix)
+    least = 0.0 if is_forecast else best
 
     def is_trial_over(stage: Stage) -> bool:
         if stage.iterations == 1 and is_forecast:  # squared: one sweep is a weak forecast
             return fewest_sweeps(problem, stage, goal) > PATIENCE**2 * cycles
-        is_near = stage.work <= 3.0 * QUICK and stage.steps_to_go(goal) <= QUICK
+        is_near = stage.work <= 30.0 and stage.steps_to_go(goal) <= 10.0  # psor takes as many
         return stage.iterations >= 3 and not is_near
 
     def is_too_slow(stage: Stage) -> bool:
-        if stage.iterations < 40 or stage.iterations % ASKED_EVERY:
-            return False
-        if not is_forecast and stage.work < best:
+        if stage.iterations < 40 or stage.iterations % ASKED_EVERY or stage.work < least:
             return False
         return stage.work + stage.steps_to_go(goal) > PATIENCE * best
 
-    why = "cheap sweeps over the rows come first; their rate decides the next stage"
-    yield (npsor := Stage(SWEEPING["npsor"], why, is_trial_over))
+    until = "3 sweeps, unless 10 more are enough"
+    yield (npsor := Stage(SWEEPING["npsor"], CHEAP, is_trial_over, until))
     sweeps = max(npsor.steps_to_go(goal), fewest_sweeps(problem, npsor, goal))
-    if not is_forecast or 3.0 * math.sqrt(sweeps) <= best:
-        yield Stage(SWEEPING["psor"], "sweeps with automatic relaxation", is_too_slow)
+    if not (is_forecast and npsor.residuals) or 3.0 * math.sqrt(sweeps) <= best:
+        until = f"{best:.0f} passes, if its rate needs many more"
+        yield Stage(SWEEPING["psor"], ACCELERATED, is_too_slow, until)
     if cycles < math.inf:
 
         def is_factorization_cheaper(stage: Stage) -> bool:
@@ -134,7 +142,8 @@ def _sweeping_stages(problem: LCP, goal: float) -> Iterator[Stage]:
             return needed > (passes := factor_passes(problem)) and stage.work > 0.5 * passes
 
         why = "a sparse M with many rows: work in proportion to them"
-        yield Stage(SWEEPING["multigrid"], why, is_factorization_cheaper)
+        until = "270 passes, if factorizations are predicted to be cheaper"
+        yield Stage(SWEEPING["multigrid"], why, is_factorization_cheaper, until)
         if factor_passes(problem) == math.inf:
             yield Stage(SWEEPING["psor"], "a factorization of M is predicted to be too large")
 

@@ -50,6 +50,8 @@ class Stage:
         The reason for it, for readers.
     is_over : callable or None
         Budget, checked after each step: if it returns True, the next method takes over. None means no budget.
+    until : str
+        The budget, for readers.
     steps : iterable of Step
         The proposed points, unless the run takes them from the algorithm.
     iterations, work : int, float
@@ -75,6 +77,7 @@ class Stage:
     algorithm: Any
     because: str = ""
     is_over: Callable[[Stage], bool] | None = None
+    until: str = ""
     steps: Iterable[Step] = ()
     iterations: int = 0
     work: float = 0.0

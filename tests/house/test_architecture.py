@@ -40,7 +40,7 @@ ROLES = {
     **dict.fromkeys(("main", "run"), "the start of a command"),
     **dict.fromkeys(("certify_model", "solve_model"), "of models of cvxpy, of Pyomo"),
     **dict.fromkeys(("lcp_layer", "qp_layer", "contact_layer"), "of JAX, of PyTorch"),
-    **dict.fromkeys(("criterion_at", "verdict_at", "first_point"), "of a problem class"),
+    **dict.fromkeys(("criterion_at", "verdict_at", "first_point", "planned"), "of a problem class"),
     "ADVICE": "texts of the statuses of a problem class",
 }
 MOST_OF_ANY = 780  # signatures that say ": Any": a class or a protocol says more

@@ -31,7 +31,7 @@ from ...solving.result import (
     end_at_once,
     with_samples,
 )
-from ...solving.run import FAILED, Progress, Run, Stage
+from ...solving.run import FAILED, Named, Progress, Run, Stage
 from ..contact import ContactMotion, motion_of
 from . import methods, newton
 from .certificate import ConeCertificate, ContactInfeasibility, infeasibility_proof
@@ -55,6 +55,8 @@ ADVICE = {
     ),
     Status.INFEASIBLE: "no z in the cones has an M z + q in their duals; next: check the data (result.proof)",
 }
+MIDDLE = "from the middle of the impulses that make the same motion Newton converges"
+CONVEX = "for a symmetric M a convex program has the same solution"
 SWEPT = "cheap sweeps over the blocks find most of the active set"
 
 
@@ -215,6 +217,24 @@ def solve_cone_stack(
     return z, residual, iterations, is_solved
 
 
+def planned(problem: Blocks) -> tuple[str, Any, str, list[Stage]]:
+    """Return the matrix and the stages of a problem over cones for `analyze`; see `ProblemClass.plan`."""
+    sweeps, steps = (", ".join(map(str, counts)) for counts in zip(*SCHEDULE, strict=True))
+    stages = [
+        Stage(methods.ConeNSGS(), SWEPT, until=f"{sweeps} sweeps"),
+        Stage(methods.ConeNewton(), "after each of these sweeps", until=f"{steps} steps"),
+        Stage(methods.ConeInteriorPoint(), MIDDLE) if problem.has_friction else Stage(methods.FixedPoint(), CONVEX),
+        Stage(Named("infeasibility"), "is there a solution at all?"),
+        Stage(methods.ConeNSGS(), "long sweeps, then Newton's steps from points nearby"),
+    ]  # fmt: skip
+    return (
+        "M",
+        problem.rows.matrix,
+        "is_symmetric is_positive_semidefinite is_positive_definite",
+        stages,
+    )
+
+
 class ConeRun(Run):
     """Run on a problem or component: the best point of the methods is measured at the ends of stages.
 
@@ -354,9 +374,8 @@ class ConeRun(Run):
             z = yield from self._sweeps_and_newton(stack.origin, SCHEDULE[:1])
         yield from self._sweeps_and_newton(z, SCHEDULE[1:])
         if not has_friction:
-            because = "for a symmetric M a convex program has the same solution"
             points = methods.FixedPoint().points(problem, stack, stack.origin, goal)
-            yield Stage(methods.FixedPoint(), because, steps=points)
+            yield Stage(methods.FixedPoint(), CONVEX, steps=points)
         elif not self.is_warm:
             yield self._path(None)
         if self.settings.prove_infeasibility:
@@ -420,9 +439,8 @@ class ConeRun(Run):
     def _path(self, share: float | None) -> Stage:
         """Return the central path from a cold start, or from near the best point."""
         z = self.stack.origin if share is None else self.stack.snap(self.best.z)
-        because = "from the middle of the impulses that make the same motion Newton converges"
         points = methods.path_points(self.stack, z, share or 1.0, self.goal)
-        return Stage(methods.ConeInteriorPoint(), because, steps=points)
+        return Stage(methods.ConeInteriorPoint(), MIDDLE, steps=points)
 
     def _solve_components(self) -> bool:
         """Return whether there are several components; solve each that does not pass, and combine the points."""

@@ -31,6 +31,7 @@ from ...core.checks import Vector, is_number, vector_option
 from ...core.deadline import Clock, is_over, time_limit
 from ...core.errors import InvalidOption, UnsupportedModel
 from ...core.settings import PROVEN, Status, checked_tolerance
+from ...solving.run import Named, Stage
 from ..programs.no_minimum import QPUnboundedness, known_proof
 from .equilibrium_program import Cases, EquilibriumProgram, branches
 from .relaxations import ENDS, EquilibriumResult, ExternalBound, Node, Relaxations
@@ -130,6 +131,27 @@ def _refuse_proof(problem: EquilibriumProgram) -> None:
         f"prove=True needs affine rows, a convex quadratic objective and no integers, and this problem has {what}; "
         "leave it out: the bound is SCIP's then"
     )
+
+
+def planned(problem: EquilibriumProgram) -> tuple[str, Any, str, list[Stage]]:
+    """Return the matrix and the stages of a program with pairs for `analyze`; see `ProblemClass.plan`."""
+    has_scip, most = minimize_or_none() is not None, 300 // max(1, problem.pairs)
+    nodes = Named("branch and bound")
+    stages = [
+        Stage(
+            nodes, "each node bounds several pieces, with a proof", until=f"{most} nodes" * has_scip
+        )
+    ]
+    stages = (
+        stages
+        if problem.is_provable
+        else [Stage(nodes, "pairs at the start, the bounds and the relaxation")]
+    )
+    stages += [Stage(Named("SCIP"), "global, its bound in floating point")] * has_scip
+    stages += [Stage(nodes, "if SCIP finds no least solution", until="2000 nodes")] * (
+        has_scip and problem.is_provable
+    )
+    return "P", problem.program.P, "is_positive_semidefinite", stages
 
 
 class BranchAndBound:

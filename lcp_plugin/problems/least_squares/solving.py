@@ -130,6 +130,11 @@ def first_point(
     return optimality
 
 
+def planned(problem: BoundedLeastSquares) -> tuple[str, None, str, Iterator[Stage]]:
+    """Return the matrix and the stages of least squares for `analyze`; see `ProblemClass.plan`."""
+    return "", None, "", LeastSquaresRun(problem, Progress(problem, DEFAULT), None, None).plan()
+
+
 class LeastSquaresRun(Run):
     """Run that certifies points of external solvers, and the projected steps that may be optimal.
 

@@ -24,7 +24,7 @@ from ...core.tuning import CHEAP_UP_TO
 from ...judges.lcp import Measured, RowData
 from ...solving.dispatch import method_of
 from ...solving.result import Callback, Result
-from ...solving.run import Progress, Run, Stage
+from ...solving.run import Named, Progress, Run, Stage
 from ..programs.no_minimum import proof_of_contradiction
 from .data import Evaluations, Linearization, NonlinearProblem
 from .searches import RESTARTS, SEARCHES, JosephyNewton
@@ -170,6 +170,14 @@ def begin_at(first: Linearization) -> tuple[Linearization, str]:
             f"F must be finite at the start, but F(x0)[{i}] = {first.value[i]} with x0[{i}] = {start[i]} in the bounds"
         )
     return first, ""
+
+
+def planned(problem: NonlinearProblem) -> tuple[str, Any, str, list[Stage]]:
+    """Return the matrix and the stages of a nonlinear problem for `analyze`; see `ProblemClass.plan`."""
+    until = "25 steps gain nothing; then by nonmonotone searches, then from other starts"
+    stages, n = [Stage(Named(JosephyNewton.name), TANGENTS, until=until)], problem.n
+    point = None if n is None else begin_at(Linearization(problem, problem.nearest_to_zero))[0]
+    return "F′ at the start", point and point.M, "is_p_matrix is_positive_definite", stages
 
 
 ADVICE = {

@@ -14,7 +14,7 @@ from ...core.checks import Vector, vector_option
 from ...core.deadline import Clock, is_over, seconds_left, time_limit
 from ...core.entries import clip, max_norm
 from ...core.errors import InvalidOption, UnsuitableMatrix, UnsuitableProblem, UnsupportedModel
-from ...core.settings import DEFAULTS, OF_SOLVE, Settings, Status
+from ...core.settings import DEFAULT, DEFAULTS, OF_SOLVE, Settings, Status
 from ...core.tuning import LINEAR_PROGRAM_UP_TO
 from ...engines import ENGINES, has_piqp, installed_engine
 from ...engines.engine import Engine, EnginePoint, EngineStatus
@@ -235,6 +235,16 @@ def _engine(algorithm: object, options: dict[str, Any]) -> Engine | None:
             f"solve(program, {algorithm.name!r}, …)"
         )
     return algorithm
+
+
+def planned(program: QuadraticProgram) -> tuple[str, Any, str, Iterator[Stage]]:
+    """Return the matrix and the stages of a program for `analyze`; see `ProblemClass.plan`."""
+    run = ProgramRun(program, "auto", DEFAULT, {}, None, Clock(), None)
+    refusal = Stage(
+        Named("refused"), "P is not positive semidefinite: solve raises UnsupportedModel"
+    )
+    stages = iter([refusal]) if program.is_convex is False else run.all_stages()
+    return "P", program.P, "is_positive_semidefinite is_positive_definite", stages
 
 
 class ProgramProgress(Progress):

@@ -74,7 +74,7 @@ CELLS: dict[
     str, dict[str, Any]
 ] = {  # subcommand: its exit code, or the pattern of its error message, for each problem class
     "solve": {"LCP": DONE, "program": DONE, "least squares": DONE},
-    "analyze": {"LCP": DONE, "program": REFUSED, "least squares": REFUSED},
+    "analyze": {"LCP": DONE, "program": DONE, "least squares": DONE},
     "compare": {"LCP": DONE, "program": REFUSED, "least squares": REFUSED},
 }
 WITHOUT_FILES = {"list", "warm-up"}

@@ -1,0 +1,113 @@
+"""analyze(): facts about a problem of any class, and the plan of ``algorithm="auto"`` for it, without a solve."""
+
+from __future__ import annotations
+
+from itertools import groupby
+from pkgutil import resolve_name
+from typing import Any, NamedTuple
+
+import numpy as np
+import scipy.sparse as sp
+
+from ..core.errors import InvalidProblem
+from ..core.names import format_count
+from ..core.problem_classes import CLASSES, class_of, refusal
+from ..proofs.verdicts import MatrixReport, wrapped
+
+
+class PlannedStage(NamedTuple):
+    """Stage of a plan: the method, the reason for it, and its budget ("" for none)."""
+
+    name: str
+    because: str
+    until: str
+
+
+class ProblemReport(MatrixReport):
+    """Verdicts on the matrix of a problem, and the stages of ``algorithm="auto"``; ``print`` shows all of it.
+
+    The matrix is M of an LCP and of cones, W of contacts, P of a program, and F′(x) where a nonlinear problem starts.
+    Least squares have none.
+
+    Parameters
+    ----------
+    problem : problem of any class
+
+    Attributes
+    ----------
+    problem : object
+    plan : tuple of PlannedStage
+        Method, reason and budget of each stage that runs if the stages before it fail.
+    claims : sequence of str
+        Names of the verdicts that matter for the problem.
+    """
+
+    def __init__(self, problem: Any) -> None:
+        of_class = resolve_name(f"lcp_plugin.{CLASSES[class_of(problem) or 'LCP'].plan}")
+        self.symbol, matrix, claims, stages = of_class(problem)
+        super().__init__(sp.csr_array((0, 0)) if matrix is None else matrix)
+        self.problem, self.claims = problem, self.claims if claims is None else claims.split()
+        planned = (PlannedStage(one.algorithm.name, one.because, one.until) for one in stages)
+        self.plan = tuple(stage for stage, _ in groupby(planned))
+
+    def __str__(self) -> str:
+        lines = [repr(self.problem)]
+        of = getattr(self.problem, "program", self.problem)  # of a program with pairs
+        if hasattr(of, "lower") and not hasattr(of, "has_friction"):  # not over cones
+            bounds = (f"{np.isfinite(end).sum()} of {np.size(end)}" for end in (of.lower, of.upper))
+            lines.append("finite bounds: {} lower, {} upper".format(*bounds))
+        if self.n:
+            lines.append(super().__str__())
+        lines.append(
+            'algorithm="auto", each stage if the stages before it do not solve the problem:'
+        )
+        for number, (name, because, until) in enumerate(self.plan, 1):
+            lines += wrapped(
+                f"{number:>3} {name:<20} ", "; ".join([because, *[f"until {until}"] * bool(until)])
+            )
+        return "\n".join(lines)
+
+    def __repr__(self) -> str:
+        return f"ProblemReport({self.problem!r}, {format_count(len(self.plan), 'stage')})"
+
+
+@np.errstate(all="ignore")
+def analyze(problem: Any) -> MatrixReport:
+    """Return the classes of a matrix; of a problem also the plan of ``algorithm="auto"``. Nothing is solved.
+
+    Parameters
+    ----------
+    problem : problem of any class, or array or sparse array, shape (n, n)
+
+    Returns
+    -------
+    MatrixReport or ProblemReport
+        Verdicts that are True or False with a proof, or None; a program is convex if P `is_positive_semidefinite`.
+
+    Raises
+    ------
+    InvalidProblem
+        If the argument is neither a problem nor a real, finite, square matrix.
+
+    Notes
+    -----
+    Each verdict is computed on first access; ``print(report)`` computes all of them. A nonlinear F is called at one
+    point, and for differences near it.
+
+    Examples
+    --------
+    >>> from lcp_plugin import QuadraticProgram
+    >>> report = analyze([[2.0, -3.0], [1.0, 2.0]])
+    >>> report.is_h_plus, report.is_positive_definite
+    (True, True)
+    >>> analyze([[1, 2], [2, 1]]).evidence["is_p_matrix"]
+    'symmetric: the principal minor of rows 0, 1 is not positive'
+    >>> report = analyze(QuadraticProgram([[2, 0], [0, 2]], [-2, -4], G=[[1, 1]], h=[2]))
+    >>> report.is_positive_semidefinite, [stage.name for stage in report.plan]
+    (True, ['daqp', 'piqp', 'clarabel', 'lcp'])
+    """
+    if class_of(problem) is not None:
+        return ProblemReport(problem)
+    if not (hasattr(problem, "shape") or isinstance(problem, list | tuple)):
+        raise InvalidProblem(f"{refusal('analyze', problem)}; or a square matrix")
+    return MatrixReport(problem)

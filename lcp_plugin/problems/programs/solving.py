@@ -19,7 +19,7 @@ from ...core.tuning import LINEAR_PROGRAM_UP_TO
 from ...engines import ENGINES, has_piqp, installed_engine
 from ...engines.engine import Engine, EnginePoint, EngineStatus
 from ...engines.solvers import DAQP, ends_of_rows
-from ...judges.program import NO_POLISH, PROGRAM_TOLERANCE, KKTErrors
+from ...judges.program import NO_POLISH, PROGRAM_TOLERANCE, SHARP, KKTErrors
 from ...methods.interior_point import InteriorPoint
 from ...methods.small import LOOP_UP_TO
 from ...solving.dispatch import parse_call
@@ -332,8 +332,15 @@ class ProgramRun(Run):
             self._search_proof()
 
     def engine_stages(self, engine: Engine | None) -> Iterator[Stage]:
-        """Yield a stage for each attempt of an external solver."""
+        """Yield a stage for each attempt of an external solver.
+
+        A point at rounding level is not computed again in its scaling, by a smaller tolerance of the same solver.
+        """
+        before = None
         for asked, scale in attempts(self.program, engine):
+            is_same, before = before == (asked.name, scale), (asked.name, scale)
+            if is_same and self.latest is not None and self.latest.errors.largest <= SHARP / 64.0:
+                continue
             options = dict(asked.options)
             if "max_iterations" in self.options:  # an engine counts in 32 bits
                 options[asked.steps] = min(self.options["max_iterations"], 2**31 - 1)

@@ -243,8 +243,8 @@ def slack_bounds(problem: LCP) -> tuple[Vector, Vector]:
 EXACT_SIZE = 10  # rows; minors of doubles are long numbers
 MOST_UNKNOWNS = 600  # of an exact elimination, whose numbers grow with each step
 MOST_ENTRIES = 4_000_000  # of a dense matrix whose rank is computed: some seconds
-# Below 2^25, so that 2^13 products add up in 64 bits; a matrix singular modulo all three is taken for singular.
-PRIMES = (33554393, 33554383, 33554371)
+# Below 2^25, so that 2^13 products add up in 64 bits; a matrix singular modulo it is taken for singular.
+PRIME = 33554393
 LIMB = 22  # bits: products with digits below 2²⁵ add up in 64 bits
 
 Integers = NDArray[np.int64]
@@ -320,9 +320,9 @@ def _rest(matrix: Lists) -> Lists:
 # --- Solutions ----------------------------------------------------------------------------
 
 
-def modulo(A: IntegerRows, prime: int) -> Integers:
+def modulo(A: IntegerRows) -> Integers:
     """Return A modulo the prime, shape (m, k)."""
-    return np.array([[a % prime for a in row] for row in A], dtype=np.int64).reshape(len(A), -1)
+    return np.array([[a % PRIME for a in row] for row in A], dtype=np.int64).reshape(len(A), -1)
 
 
 def rank_profile(A: IntegerRows) -> tuple[list[int], list[int]]:
@@ -335,11 +335,11 @@ def rank_profile(A: IntegerRows) -> tuple[list[int], list[int]]:
     >>> rank_profile([[0, 0, 2], [0, 0, 4], [1, 0, 0]])
     ([0, 2], [2, 0])
     """
-    work = modulo(A, PRIMES[0])
-    return _reduce(work, work.shape[1], PRIMES[0])
+    work = modulo(A)
+    return _reduce(work, work.shape[1])
 
 
-def _reduce(work: Integers, k: int, prime: int) -> tuple[list[int], list[int]]:
+def _reduce(work: Integers, k: int) -> tuple[list[int], list[int]]:
     """Reduce the rows in place by pivots in the first k columns; return the rows and the columns of the pivots."""
     rows, columns = [], []
     for i in range(work.shape[0]):
@@ -349,16 +349,16 @@ def _reduce(work: Integers, k: int, prime: int) -> tuple[list[int], list[int]]:
         j = int(nonzero[0])
         rows.append(i)
         columns.append(j)
-        work[i] = work[i] * pow(int(work[i, j]), -1, prime) % prime
+        work[i] = work[i] * pow(int(work[i, j]), -1, PRIME) % PRIME
         factors = work[:, j].copy()
         factors[i] = 0
         touched = np.flatnonzero(factors)
-        work[touched] = (work[touched] - factors[touched, None] * work[i]) % prime
+        work[touched] = (work[touched] - factors[touched, None] * work[i]) % PRIME
     return rows, columns
 
 
 def solve_exactly(A: IntegerRows, b: Sequence[int]) -> list[Fraction] | None:
-    """Return the solution of A x = b in fractions, or None if A is singular (modulo three primes).
+    """Return the solution of A x = b in fractions, or None if A is singular (modulo a prime).
 
     The result is also None if the time limit of the run passes.
 
@@ -384,30 +384,22 @@ def solve_exactly(A: IntegerRows, b: Sequence[int]) -> list[Fraction] | None:
     """
     if not A:
         return []
-    for prime in PRIMES:
-        inverse = _inverse(modulo(A, prime), prime)
-        if inverse is not None:
-            return _lifted(A, b, inverse, prime)
-    return None
+    k = len(A)
+    work = np.hstack([modulo(A), np.eye(k, dtype=np.int64)])
+    _, columns = _reduce(work, k)
+    return _lifted(A, b, work[np.argsort(columns), k:]) if len(columns) == k else None
 
 
-def _inverse(matrix: Integers, prime: int) -> Integers | None:
-    k = len(matrix)
-    work = np.hstack([matrix, np.eye(k, dtype=np.int64)])
-    _, columns = _reduce(work, k, prime)
-    return work[np.argsort(columns), k:] if len(columns) == k else None
-
-
-def _lifted(A: IntegerRows, b: Sequence[int], inverse: Integers, prime: int) -> Fractions | None:
+def _lifted(A: IntegerRows, b: Sequence[int], inverse: Integers) -> Fractions | None:
     limbs = _limbs(A)
     residual = np.array([int(value) for value in b], dtype=object)
     x = np.zeros(len(A), dtype=object)
     modulus, digits, next_try = 1, 0, 4
     while not is_over():
-        digit = inverse @ (residual % prime).astype(np.int64) % prime
-        residual = (residual - _limb_product(limbs, digit)) // prime
+        digit = inverse @ (residual % PRIME).astype(np.int64) % PRIME
+        residual = (residual - _limb_product(limbs, digit)) // PRIME
         x += digit.astype(object) * modulus
-        modulus *= prime
+        modulus *= PRIME
         digits += 1
         if digits == next_try:
             answer = _reconstructed(x, modulus)

@@ -59,7 +59,8 @@ from ...problems.programs.program import VECTORS, QuadraticProgram
 from ...problems.sensitivity import derivative
 
 Convert = Callable[[Any, str], Any]  # of a library: the array of an argument with this name
-ENDS, NUMBERS = ("lower", "upper"), ("lower", "upper", "friction")  # each may be one number
+LAYER_BOUNDS = "lower", "upper"
+MAY_BE_NUMBERS = *LAYER_BOUNDS, "friction"
 
 
 class Layer(ABC):
@@ -94,7 +95,10 @@ class Layer(ABC):
     def problem_shapes(cls, *shapes: tuple[int, ...]) -> list[tuple[int, ...]]:
         """Return the shapes of the arrays of one problem, from the shapes of arrays with batch axes."""
         pairs = zip(cls.own_axes.items(), shapes, strict=True)
-        ends = (((shapes[1] if name in ENDS else shape), len(own)) for (name, own), shape in pairs)
+        ends = (
+            ((shapes[1] if name in LAYER_BOUNDS else shape), len(own))
+            for (name, own), shape in pairs
+        )
         return [shape[-count:] for shape, count in ends]
 
     @abstractmethod
@@ -118,13 +122,13 @@ class Layer(ABC):
         sizes, fronts = dict[str, int](), list[tuple[int, ...]]()
         for (name, letters), shape in zip(cls.own_axes.items(), shapes, strict=True):
             needed, own = [sizes.get(one, one) for one in letters], shape[-len(letters) :]
-            is_number = name in NUMBERS and own in ((), (1,))
+            is_number = name in MAY_BE_NUMBERS and own in ((), (1,))
             if not is_number and own != (0, 0):  # of a constant M
                 fits = len(own) == len(letters)
                 pairs = zip(letters, own, strict=False)
                 if not (fits and all(sizes.setdefault(*pair) == pair[1] for pair in pairs)):
                     need = f"(…, {', '.join(map(str, needed))})"
-                    need += ", or be a number" * (name in NUMBERS)
+                    need += ", or be a number" * (name in MAY_BE_NUMBERS)
                     raise InvalidProblem(f"{name} must have shape {need}, got {shape}")
             fronts.append(shape[: -len(letters)])
         try:

@@ -222,7 +222,6 @@ def exact_dot(factors: Sequence[int], values: Sequence[float]) -> Fraction:
 
 NO_MULTIPLIER = 1e-12  # of the unit: a smaller y of a linear program is 0
 TIGHT = 1e-7  # of its terms: a smaller sum of a linear program is 0
-PIVOTS = 5  # times rows and columns of a linear program; most take half as many pivots as rows
 PIVOT_WORK = 120_000_000  # pivots times rows and columns: on 12 000 of both they take 4 s
 LP_TOLERANCE = 1e-9  # a tenth of it is the least that HiGHS takes
 NORMS = (1e-6, 1e6)  # smallest and largest: entries of one row of the linear program
@@ -469,7 +468,8 @@ def distinct_units(units: Sequence[float]) -> Iterator[float]:
 
 def pivot_limit(size: int) -> int:
     """Return the pivots of linear programs of so many rows and columns: fewer if they are many, and slow."""
-    return min(PIVOTS * size, PIVOT_WORK // max(size, 1))
+    # Most linear programs take half as many pivots as rows
+    return min(5 * size, PIVOT_WORK // max(size, 1))
 
 
 def linear_program(

@@ -42,6 +42,13 @@ def test_rows_that_contradict_are_infeasible_for_every_objective(algorithm):
         solve(program, algorithm, prove_infeasibility=False)
 
 
+@pytest.mark.parametrize("gap", [2.0**-30, 2.0**-40])
+def test_rows_that_meet_far_away_do_not_contradict(gap):
+    """x + 1 ≤ y and (1 − gap) y ≤ x meet at x = 1/gap − 1: a difference above rounding is part of the data."""
+    program = QuadraticProgram(None, [1.0, 0.0], [[1.0, -1.0], [-1.0, 1.0 - gap]], [-1.0, 0.0])
+    assert solve(program).require_solved().x[0] == pytest.approx(1.0 / gap - 1.0, rel=1e-6)
+
+
 TINY = 1e-13
 
 

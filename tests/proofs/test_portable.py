@@ -202,6 +202,15 @@ def test_the_vertex_of_a_linear_program_is_exact():
     assert exact(result).z == (Fraction(1, 4),) * 4
 
 
+def test_an_exact_solution_of_doubles_has_hundreds_of_digits():
+    """The solution of twenty equations and bounds in doubles is reconstructed from residues, and verified."""
+    rng = np.random.default_rng(0)
+    B, q = rng.normal(size=(20, 20)), rng.normal(size=20)
+    solution = exact(solve(LCP(B @ B.T + np.eye(20), q)))
+    assert solution.verify()
+    assert max(value.denominator for value in solution.z) > 2**500
+
+
 @pytest.mark.parametrize(
     ("result", "reason"),
     [

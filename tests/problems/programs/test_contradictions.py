@@ -44,7 +44,7 @@ def test_rows_that_contradict_are_infeasible_for_every_objective(algorithm):
 
 @pytest.mark.parametrize("gap", [2.0**-30, 2.0**-40])
 def test_rows_that_meet_far_away_do_not_contradict(gap):
-    """x + 1 ≤ y and (1 − gap) y ≤ x meet at x = 1/gap − 1: a difference above rounding is part of the data."""
+    """Rows x + 1 ≤ y and (1 − gap) y ≤ x meet at x = 1/gap − 1: a difference above rounding is part of the data."""
     program = QuadraticProgram(None, [1.0, 0.0], [[1.0, -1.0], [-1.0, 1.0 - gap]], [-1.0, 0.0])
     assert solve(program).require_solved().x[0] == pytest.approx(1.0 / gap - 1.0, rel=1e-6)
 

@@ -24,7 +24,8 @@ class ProblemClass(NamedTuple):
     Attributes
     ----------
     solver : str
-        Module, from the package on, and function.
+        Module, from the package on, and function. The module also has the function `planned` of `analyze`: it returns
+        the letter of a matrix, the matrix or None, and the stages of auto.
     functions : str
         Functions that take the class, or its results, in addition to `solve`, `solve_batch` and `analyze`.
     options : str
@@ -33,9 +34,6 @@ class ProblemClass(NamedTuple):
         Module and function that return the data of the stopping criterion at a point, for rows of pairs.
     verdict : str
         Module and function that return the fields of the verdict on a point, for other classes.
-    plan : str
-        Module and function for `analyze`: they return the letter of a matrix, the matrix or None, the names of its
-        verdicts (None for all), and the stages of auto.
     batch : str
         Arguments with which one problem makes a batch.
     """
@@ -45,7 +43,6 @@ class ProblemClass(NamedTuple):
     options: str = ""
     criterion: str = ""
     verdict: str = ""
-    plan: str = ""
     batch: str = "[problem]"
 
 
@@ -54,14 +51,12 @@ CONE_CLASS = ProblemClass(
     "march derivative certify",
     f"{WATCHED} absolute_tolerance prove_infeasibility",
     "problems.cones.certificate:criterion_at",
-    plan="problems.cones.solving:planned",
 )
 CLASSES = {
     "LCP": ProblemClass(
         "solving.lcp_solver:solve_lcp",
         "prepare march trace derivative certify",
         criterion="judges.lcp:criterion_at",
-        plan="solving.plan:planned",
         batch="problem, Q",
     ),
     "NonlinearProblem": ProblemClass(
@@ -69,26 +64,22 @@ CLASSES = {
         "prepare march trace derivative certify",
         f"{WATCHED} absolute_tolerance",
         "problems.nonlinear.solving:criterion_at",
-        plan="problems.nonlinear.solving:planned",
     ),
     "QuadraticProgram": ProblemClass(
         "problems.programs.solving:solve_program",
         "prepare trace derivative certify",
-        plan="problems.programs.solving:planned",
         batch="program, C",
     ),
     "EquilibriumProgram": ProblemClass(
         "problems.equilibria.branch_and_bound:minimize_over_solutions",
         "certify",
         verdict="problems.equilibria.certificate:verdict_at",
-        plan="problems.equilibria.branch_and_bound:planned",
     ),
     "BoundedLeastSquares": ProblemClass(
         "problems.least_squares.solving:solve_least_squares",
         "prepare trace derivative certify",
         WATCHED,
         verdict="problems.least_squares.solving:verdict_at",
-        plan="problems.least_squares.solving:planned",
         batch="problem, B",
     ),
     "ConeProblem": CONE_CLASS,

@@ -14,6 +14,9 @@ from ..core.names import format_count
 from ..core.problem_classes import CLASSES, class_of, refusal
 from ..proofs.verdicts import MatrixReport, wrapped
 
+CONVEXITY = "is_symmetric", "is_positive_semidefinite", "is_positive_definite", "is_p_matrix"
+HEADING = 'algorithm="auto", each stage if the stages before it do not solve the problem:'
+
 
 class PlannedStage(NamedTuple):
     """Stage of a plan: the method, the reason for it, and its budget ("" for none)."""
@@ -43,28 +46,22 @@ class ProblemReport(MatrixReport):
     """
 
     def __init__(self, problem: Any) -> None:
-        of_class = resolve_name(f"lcp_plugin.{CLASSES[class_of(problem) or 'LCP'].plan}")
-        self.symbol, matrix, claims, stages = of_class(problem)
+        name = class_of(problem) or "LCP"
+        module = CLASSES[name].solver.partition(":")[0]
+        self.symbol, matrix, stages = resolve_name(f"lcp_plugin.{module}:planned")(problem)
         super().__init__(sp.csr_array((0, 0)) if matrix is None else matrix)
-        self.problem, self.claims = problem, self.claims if claims is None else claims.split()
+        self.problem, self.claims = problem, self.claims if name == "LCP" else CONVEXITY
         planned = (PlannedStage(one.algorithm.name, one.because, one.until) for one in stages)
         self.plan = tuple(stage for stage, _ in groupby(planned))
 
     def __str__(self) -> str:
-        lines = [repr(self.problem)]
         of = getattr(self.problem, "program", self.problem)  # of a program with pairs
-        if hasattr(of, "lower") and not hasattr(of, "has_friction"):  # not over cones
-            bounds = (f"{np.isfinite(end).sum()} of {np.size(end)}" for end in (of.lower, of.upper))
-            lines.append("finite bounds: {} lower, {} upper".format(*bounds))
-        if self.n:
-            lines.append(super().__str__())
-        lines.append(
-            'algorithm="auto", each stage if the stages before it do not solve the problem:'
-        )
+        lower, upper = getattr(of, "lower", ()), getattr(of, "upper", ())
+        bounds = f"lower bounds: {np.isfinite(lower).sum()}, upper: {np.isfinite(upper).sum()}"
+        lines = [repr(self.problem), bounds, *[super().__str__()] * bool(self.n), HEADING]
         for number, (name, because, until) in enumerate(self.plan, 1):
-            lines += wrapped(
-                f"{number:>3} {name:<20} ", "; ".join([because, *[f"until {until}"] * bool(until)])
-            )
+            reason = f"{because}; until {until}" if until else because
+            lines += wrapped(f"{number:>3} {name:<20} ", reason)
         return "\n".join(lines)
 
     def __repr__(self) -> str:

@@ -14,7 +14,7 @@ from ..core.algorithm import Algorithm, Step
 from ..core.checks import Vector, checked_start
 from ..core.deadline import Clock
 from ..core.lcp import LCP
-from ..core.settings import Settings
+from ..core.settings import DEFAULT, Settings
 from ..judges.lcp import row_data
 from ..methods.small import GUESSED, Rounds, fails_surely, measure_small
 from .dispatch import parse_call
@@ -111,3 +111,10 @@ def records_of(steps: list[Step], method: Algorithm | None) -> tuple[StageRecord
         because=because if steps[-1].iterations != 0 else NOTHING_TO_DO
     )
     return tuple(records)
+
+
+def planned(problem: LCP) -> tuple[str, Any, Iterator[Any]]:
+    """Return the matrix and the stages of an LCP for `analyze`."""
+    from .plan import plan
+
+    return "M", problem.matrix, plan(problem, None, DEFAULT.goal)

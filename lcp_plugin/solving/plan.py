@@ -31,13 +31,11 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterator
-from typing import Any
 
 import numpy as np
 
 from ..core.algorithm import Algorithm, count_driven_sweeps
 from ..core.lcp import LCP
-from ..core.settings import DEFAULT
 from ..core.splittings import NPSOR, PSOR
 from ..core.structure import is_nearly_symmetric
 from ..core.sweep_data import has_positive_diagonal
@@ -92,11 +90,6 @@ def plan(
         if has_positive_diagonal(problem.matrix).all():
             yield from _sweeping_stages(problem, goal)
     yield from direct_methods(problem, goal, prove_infeasibility=prove_infeasibility)
-
-
-def planned(problem: LCP) -> tuple[str, Any, None, Iterator[Stage]]:
-    """Return the matrix and the stages of an LCP for `analyze`; see `ProblemClass.plan`."""
-    return "M", problem.matrix, None, plan(problem, None, DEFAULT.goal)
 
 
 def repeated(last: StageRecord) -> Stage | None:

@@ -31,7 +31,7 @@ from ...solving.result import (
     end_at_once,
     with_samples,
 )
-from ...solving.run import FAILED, Named, Progress, Run, Stage
+from ...solving.run import FAILED, Progress, Run, Stage
 from ..contact import ContactMotion, motion_of
 from . import methods, newton
 from .certificate import ConeCertificate, ContactInfeasibility, infeasibility_proof
@@ -217,22 +217,16 @@ def solve_cone_stack(
     return z, residual, iterations, is_solved
 
 
-def planned(problem: Blocks) -> tuple[str, Any, str, list[Stage]]:
-    """Return the matrix and the stages of a problem over cones for `analyze`; see `ProblemClass.plan`."""
+def planned(problem: Blocks) -> tuple[str, Any, list[Stage]]:
+    """Return the matrix and the stages of a problem over cones for `analyze`."""
     sweeps, steps = (", ".join(map(str, counts)) for counts in zip(*SCHEDULE, strict=True))
-    stages = [
+    third = (methods.FixedPoint(), CONVEX), (methods.ConeInteriorPoint(), MIDDLE)
+    return "M", problem.rows.matrix, [
         Stage(methods.ConeNSGS(), SWEPT, until=f"{sweeps} sweeps"),
         Stage(methods.ConeNewton(), "after each of these sweeps", until=f"{steps} steps"),
-        Stage(methods.ConeInteriorPoint(), MIDDLE) if problem.has_friction else Stage(methods.FixedPoint(), CONVEX),
-        Stage(Named("infeasibility"), "is there a solution at all?"),
+        Stage(*third[problem.has_friction]),
         Stage(methods.ConeNSGS(), "long sweeps, then Newton's steps from points nearby"),
     ]  # fmt: skip
-    return (
-        "M",
-        problem.rows.matrix,
-        "is_symmetric is_positive_semidefinite is_positive_definite",
-        stages,
-    )
 
 
 class ConeRun(Run):

@@ -133,25 +133,12 @@ def _refuse_proof(problem: EquilibriumProgram) -> None:
     )
 
 
-def planned(problem: EquilibriumProgram) -> tuple[str, Any, str, list[Stage]]:
-    """Return the matrix and the stages of a program with pairs for `analyze`; see `ProblemClass.plan`."""
-    has_scip, most = minimize_or_none() is not None, 300 // max(1, problem.pairs)
-    nodes = Named("branch and bound")
-    stages = [
-        Stage(
-            nodes, "each node bounds several pieces, with a proof", until=f"{most} nodes" * has_scip
-        )
-    ]
-    stages = (
-        stages
-        if problem.is_provable
-        else [Stage(nodes, "pairs at the start, the bounds and the relaxation")]
-    )
-    stages += [Stage(Named("SCIP"), "global, its bound in floating point")] * has_scip
-    stages += [Stage(nodes, "if SCIP finds no least solution", until="2000 nodes")] * (
-        has_scip and problem.is_provable
-    )
-    return "P", problem.program.P, "is_positive_semidefinite", stages
+def planned(problem: EquilibriumProgram) -> tuple[str, Any, list[Stage]]:
+    """Return the matrix and the stages of a program with pairs for `analyze`."""
+    most = 300 // max(1, problem.pairs) if problem.is_provable else 0
+    until = "" if minimize_or_none() is None else f"{most} nodes; SCIP follows, then more nodes"
+    because = "each node bounds several pieces, with a proof of its bound"
+    return "P", problem.program.P, [Stage(Named("branch and bound"), because, until=until)]
 
 
 class BranchAndBound:

@@ -130,9 +130,9 @@ def first_point(
     return optimality
 
 
-def planned(problem: BoundedLeastSquares) -> tuple[str, None, str, Iterator[Stage]]:
-    """Return the matrix and the stages of least squares for `analyze`; see `ProblemClass.plan`."""
-    return "", None, "", LeastSquaresRun(problem, Progress(problem, DEFAULT), None, None).plan()
+def planned(problem: BoundedLeastSquares) -> tuple[str, None, Iterator[Stage]]:
+    """Return the stages of least squares for `analyze`."""
+    return "", None, LeastSquaresRun(problem, Progress(problem, DEFAULT), None, None).plan()
 
 
 class LeastSquaresRun(Run):

@@ -172,12 +172,12 @@ def begin_at(first: Linearization) -> tuple[Linearization, str]:
     return first, ""
 
 
-def planned(problem: NonlinearProblem) -> tuple[str, Any, str, list[Stage]]:
-    """Return the matrix and the stages of a nonlinear problem for `analyze`; see `ProblemClass.plan`."""
+def planned(problem: NonlinearProblem) -> tuple[str, Any, list[Stage]]:
+    """Return the derivative at the start and the stages of a nonlinear problem for `analyze`."""
     until = "25 steps gain nothing; then by nonmonotone searches, then from other starts"
     stages, n = [Stage(Named(JosephyNewton.name), TANGENTS, until=until)], problem.n
     point = None if n is None else begin_at(Linearization(problem, problem.nearest_to_zero))[0]
-    return "F′ at the start", point and point.M, "is_p_matrix is_positive_definite", stages
+    return "F′ at the start", point and point.M, stages
 
 
 ADVICE = {

@@ -237,14 +237,10 @@ def _engine(algorithm: object, options: dict[str, Any]) -> Engine | None:
     return algorithm
 
 
-def planned(program: QuadraticProgram) -> tuple[str, Any, str, Iterator[Stage]]:
-    """Return the matrix and the stages of a program for `analyze`; see `ProblemClass.plan`."""
+def planned(program: QuadraticProgram) -> tuple[str, Any, Iterator[Stage]]:
+    """Return the matrix and the stages of a program for `analyze`; none if it is not convex."""
     run = ProgramRun(program, "auto", DEFAULT, {}, None, Clock(), None)
-    refusal = Stage(
-        Named("refused"), "P is not positive semidefinite: solve raises UnsupportedModel"
-    )
-    stages = iter([refusal]) if program.is_convex is False else run.all_stages()
-    return "P", program.P, "is_positive_semidefinite is_positive_definite", stages
+    return "P", program.P, iter(()) if program.is_convex is False else run.all_stages()
 
 
 class ProgramProgress(Progress):

@@ -544,7 +544,7 @@ class MatrixReport:
         return "\n".join(lines)
 
     def __repr__(self) -> str:
-        return f"MatrixReport(n={self.n}, nonzeros={self.matrix.nonzeros})"
+        return f"{type(self).__name__}(n={self.n}, nonzeros={self.matrix.nonzeros})"
 
 
 def wrapped(title: str, text: str) -> list[str]:

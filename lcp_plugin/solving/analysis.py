@@ -10,7 +10,6 @@ import numpy as np
 import scipy.sparse as sp
 
 from ..core.errors import InvalidProblem
-from ..core.names import format_count
 from ..core.problem_classes import CLASSES, class_of, refusal
 from ..proofs.verdicts import MatrixReport, wrapped
 
@@ -63,9 +62,6 @@ class ProblemReport(MatrixReport):
             reason = f"{because}; until {until}" if until else because
             lines += wrapped(f"{number:>3} {name:<20} ", reason)
         return "\n".join(lines)
-
-    def __repr__(self) -> str:
-        return f"ProblemReport({self.problem!r}, {format_count(len(self.plan), 'stage')})"
 
 
 @np.errstate(all="ignore")

@@ -21,7 +21,6 @@ number, ignores directions in which z is not unique, and fails if a reported res
 from __future__ import annotations
 
 import math
-import time
 from dataclasses import dataclass, field
 from functools import partial
 from typing import Any, Literal
@@ -29,6 +28,7 @@ from typing import Any, Literal
 import numpy as np
 
 from ..core.checks import Vector
+from ..core.deadline import Clock
 from ..core.entries import max_norm, scale_by
 from ..core.errors import InvalidOption, did_you_mean
 from ..core.kernels.floats import EPSILON
@@ -286,7 +286,7 @@ class ConvexForm:
         """Return z or None, seconds with cvxpy's part, and cvxpy's status or the message of an exception."""
         import cvxpy as cp
 
-        scaled, began = self.problem, time.perf_counter()
+        scaled, clock = self.problem, Clock()
         ends = np.array([scaled.lower, scaled.upper])
         y = cp.Variable(scaled.n, bounds=[*ends])
         share, cost, rows = 0.5, scaled.q @ y, []
@@ -308,7 +308,7 @@ class ConvexForm:
             outcome = (str(error).splitlines() or [type(error).__name__])[0]
         is_found = y.value is not None and np.isfinite(y.value).all()
         z = np.clip(y.value, *ends) / self.weight if is_found else None
-        return z, time.perf_counter() - began, outcome
+        return z, clock.read(), outcome
 
     def compare(self, ours: Certificate, theirs: Certificate) -> dict[str, float]:
         """Return the differences as fields of a CrossCheck."""

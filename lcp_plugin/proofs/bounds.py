@@ -43,7 +43,6 @@ less if r is smooth.
 
 from __future__ import annotations
 
-import time
 from dataclasses import dataclass, field, replace
 from typing import Any, NamedTuple
 
@@ -52,7 +51,7 @@ import scipy.sparse as sp
 from numpy.typing import ArrayLike
 
 from ..core.checks import AnyMatrix, Array, BoolVector, Vector, checked_vector
-from ..core.deadline import is_over
+from ..core.deadline import Clock, is_over
 from ..core.entries import largest_products, max_norm, scale_matrix
 from ..core.errors import InvalidOption, InvalidProblem, UnsuitableMatrix
 from ..core.kernels.floats import OUTWARD, TINY, UNDERFLOW, UNIT
@@ -582,7 +581,7 @@ def error_bound(problem: LCP, z: ArrayLike, *, sharp: bool = True) -> ErrorBound
         raise InvalidProblem(refusal("error_bound", problem))
     if not isinstance(sharp, bool | np.bool_):
         raise InvalidOption(f"sharp must be True or False, got {sharp!r}")
-    z, began = checked_vector(z, "z", problem.n, is_finite=False), time.perf_counter()
+    z, clock = checked_vector(z, "z", problem.n, is_finite=False), Clock()
     is_positive = bool(np.all(problem.diagonal > 0.0))
     family: BoundProof | None = comparison_certificate(problem.matrix) if is_positive else None
     if family is None and (family := smallest_eigenvalue_bound(problem.matrix)) is None:
@@ -601,7 +600,7 @@ def error_bound(problem: LCP, z: ArrayLike, *, sharp: bool = True) -> ErrorBound
         bound = ErrorBound(y, max_norm(y), relative, method, residual, near)
     else:
         bound = ErrorBound(np.full(problem.n, np.inf), np.inf, np.inf, method)
-    return replace(bound, seconds=time.perf_counter() - began)
+    return replace(bound, seconds=clock.read())
 
 
 def _sharpened(at: RowInequality, y: Vector, family: BoundProof) -> tuple[Vector, NearPoint]:

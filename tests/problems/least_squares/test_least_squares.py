@@ -17,6 +17,7 @@ from scipy.optimize import lsq_linear, nnls
 from tools.refusals import assert_refused, refusals
 
 from lcp_plugin import BoundedLeastSquares, InvalidProblem, NotConverged, Status, solve
+from lcp_plugin.problems.least_squares.certificate import Optimality
 
 INF = np.inf
 
@@ -372,3 +373,17 @@ def test_a_cost_is_that_of_its_x():
         for row, right in zip(A, b, strict=True)
     ]
     assert result.cost == pytest.approx(float(sum(one * one for one in off) / 2), rel=1e-7)
+
+
+def test_a_start_at_the_solution_is_measured_alone(monkeypatch):
+    """The start is returned after one measurement, as many as a call without a start needs."""
+    problem = BoundedLeastSquares([[1.0, 0.0], [1.0, 1.0], [0.0, 1.0]], [2.0, 1.0, -1.0])
+    points: list[np.ndarray] = []
+    measure = Optimality.of.__func__
+    counted = classmethod(
+        lambda cls, data, x, **how: points.append(x) or measure(cls, data, x, **how)
+    )
+    monkeypatch.setattr(Optimality, "of", counted)
+    result = solve(problem, x0=[1.5, 0.0])
+    assert (result.algorithm, result.iterations) == ("start", 0)
+    assert [x.tolist() for x in points] == [[1.5, 0.0]]

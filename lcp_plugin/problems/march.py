@@ -13,6 +13,7 @@ the derivative of the step computes ∂L/∂q_k. The gradients by M, C and the b
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Sequence
+from contextlib import suppress
 from functools import partial
 from itertools import islice
 from typing import Any, NamedTuple
@@ -837,7 +838,9 @@ class MarchDerivative:
         n, steps = self.march.problem.n, len(self)
         rows = _rows(dforcing, "dforcing", steps, n)
         none = sp.csr_array((n, n))
-        is_each = dM is not None and not sp.issparse(dM) and np.ndim(dM) != 2
+        is_each = False
+        with suppress(TypeError, ValueError, LookupError):
+            is_each = getattr(dM, "ndim", 3) == 3 and np.ndim(dM[0]) == 2
         if is_each:
             _check_count("dM", dM, steps)
         dC = none if dpropagator is None else checked_propagator(dpropagator, n, "dpropagator")

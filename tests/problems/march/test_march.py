@@ -243,6 +243,11 @@ found.jvp(**{'dforcing': np.zeros((2, 5))})
     → dforcing must be a finite array of shape \(4, 5\), or \(5,\) for all steps
 found.jvp(**{'dforcing': np.full((4, 5), np.nan)}) → dforcing must be .* but dforcing\[0, 0\] = nan
 found.jvp(**{'dM': np.eye(4)}) → dM must be
+found.jvp(**{'dM': 3}) → dM must be a real matrix of shape \(5, 5\)
+found.jvp(**{'dM': [np.eye(5)] * 3}) → dM must have one entry per step, 4
+found.jvp(**{'dM': [np.eye(5)] * 3 + [np.eye(4)]}) → dM must be a real matrix of shape \(5, 5\), got shape \(4, 4\)
+found.jvp(**{'dM': [[1.0, [2.0]]]}) → dM must
+found.jvp(**{'dlower': np.zeros((3, 5))}) → dlower must be a finite array of shape \(4, 5\), or \(5,\) for all
 found.jvp(**{'dpropagator': np.eye(4)}) → dpropagator must be
 found.jvp(**{'dlower': np.inf}) → dlower must be finite
 found.jvp(dq=np.ones(5)) → InvalidOption: no option 'dq'.*dforcing

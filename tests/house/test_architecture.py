@@ -41,7 +41,7 @@ REASONS = {
     "follow_paths": "a kernel: a call per pivot costs more than the pivots of a small problem",
     "bound_residuals": "a kernel: the criterion of many problems in one pass over each row",
     "_update_rows": "a kernel: residual, sweep and products in one pass over the rows",
-    "cross_validate": "half of it is the table of what is reported",
+    "cross_validate": "the reasons for agree, mismatch and not comparable, in their order",
     "regression_of": "the conditions under which a program states a regression, in their order",
     "certify": "one verb for all classes and models, each with its refusal",
 }

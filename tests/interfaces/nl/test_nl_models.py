@@ -254,6 +254,14 @@ def test_long_chains_of_affine_defined_variables_stay_affine():
     np.testing.assert_allclose(answer.duals, M @ answer.x - 1.0, atol=1e-9)
 
 
+def test_arguments_of_functions_stand_below_the_equations_of_such_unknowns():
+    """Stocks and eˣ: v_k + x_k + exp(x_k) = 3 has its root in every row."""
+    rows, defined, M = stocks(300)
+    rows = [("+", row, ("-", ("exp", ("x", k)), 2.0)) for k, row in enumerate(rows)]
+    x = model_of(paired(content_of(300, rows, defined=defined))).solve(tolerance=1e-12).x
+    np.testing.assert_allclose(M @ x + np.exp(x), 3.0, atol=1e-9)
+
+
 def random_pairs(seed: int = 3, n: int = 6) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """M, q and a solution z of an LCP, the answer first."""
     rng = np.random.default_rng(seed)

@@ -49,7 +49,7 @@ from ..core.algorithm import (
 )
 from ..core.checks import FloatMatrix, Vector, read_only
 from ..core.errors import UnsuitableMatrix, UnsuitableProblem
-from ..core.kernels.floats import EPSILON, TINY, UNDERFLOW
+from ..core.kernels.floats import EPSILON, FEW_ROUNDINGS, TINY, UNDERFLOW
 from ..core.lcp import LCP
 from ..core.sweep_data import inverse_residual_scale, triangle_sums, unit_triangle_sums
 from ..core.tuning import CHEAP_UP_TO
@@ -180,7 +180,7 @@ def gaps(bound: RowBound, v: Vector, sums: tuple[Vector, Vector], terms: int) ->
         surplus = (case.free * v - load) - slop * (size + load) - UNDERFLOW
         np.minimum(smallest, surplus / scale, out=smallest)
     usable = (scale > 0.0) & np.isfinite(scale) & (v > 0.0) & np.isfinite(v)
-    smallest = smallest - 4.0 * EPSILON * np.abs(smallest)
+    smallest = smallest - FEW_ROUNDINGS * np.abs(smallest)
     return np.where(usable & ~np.isnan(smallest), np.minimum(smallest, 1.0), -np.inf)
 
 
@@ -197,7 +197,6 @@ MOMENTUM = (
     "{}; cycles of momentum are undone where the step does not fall, so it converges wherever the plain iteration "
     "contracts (momentum=None has a rate)"
 )
-ULPS = 4.0 * EPSILON  # s = 1/d is rounded, also if it is subnormal
 
 
 @dataclass(frozen=True, eq=False)
@@ -403,7 +402,7 @@ def _positive_definite(problem: LCP, facts: IterationFacts) -> str | None:
     largest_sum = float(np.max(sums, initial=0.0)) * (1.0 + 1e-12)  # above ℓ + u for v = 1
     if facts.relaxation is None:
         theorem = AUTOMATIC.format("symmetric positive definite")
-    elif omega == beta and 0.0 < omega * (1.0 + ULPS) < 2.0:
+    elif omega == beta and 0.0 < omega * (1.0 + FEW_ROUNDINGS) < 2.0:
         theorem = f"M is symmetric positive definite and 0 < ω < 2 ({CRYER})"
     elif beta == 0.0 and omega * (1.0 + largest_sum) < 2.0:
         theorem = (

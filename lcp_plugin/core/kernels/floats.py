@@ -7,6 +7,7 @@ underflows by TINY.
 from __future__ import annotations
 
 EPSILON = 2.0**-52  # from 1 to the next double
+FEW_ROUNDINGS = 4.0 * EPSILON  # relative: of a few operations in a row
 UNIT = 2.0**-53  # the largest relative error of one rounding
 TINY = 2.0**-1074  # the smallest positive double; a product that underflows is wrong by up to this
 NORMAL = 2.0**-1022  # the smallest normal double: below it the next double is TINY away

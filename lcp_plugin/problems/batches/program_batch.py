@@ -12,7 +12,7 @@ from numpy.typing import ArrayLike
 
 from ...core.checks import AnyMatrix, Array, BoolVector, read_only
 from ...core.errors import InvalidProblem, LCPError
-from ...core.kernels.floats import EPSILON
+from ...core.kernels.floats import EPSILON, FEW_ROUNDINGS
 from ...engines import is_installed
 from ...engines.solvers import DAQP, call_daqp, ends_of_rows, kinds_of_rows
 from ...judges.program import JudgedProgram, KKTErrors, ProgramTerms, measure_many, sharp_sums
@@ -27,7 +27,6 @@ PROXIMAL_OPTIONS = {
     "eta_prox": 1e-13,
     "eps_prox": -1e-3,
 }  # for singular P, because no polish follows
-EIGENVALUE_ROUNDING = 4.0 * EPSILON  # of eigenvalues, relative to the largest and per unknown
 
 
 class ProgramBatch(ArrayInstances):
@@ -261,4 +260,4 @@ def _are_semidefinite(P: AnyMatrix) -> Any:
         return np.ones(len(P), np.bool_)
     is_finite = np.isfinite(P).all(axis=(1, 2))
     values = np.linalg.eigvalsh(np.where(is_finite[:, np.newaxis, np.newaxis], P, 0.0))
-    return is_finite & (values[:, 0] >= -EIGENVALUE_ROUNDING * P.shape[1] * np.abs(values[:, -1]))
+    return is_finite & (values[:, 0] >= -FEW_ROUNDINGS * P.shape[1] * np.abs(values[:, -1]))

@@ -35,7 +35,7 @@ import scipy.sparse as sp
 from ...core.checks import AnyMatrix, Array, BoolVector, Vector
 from ...core.deadline import seconds_left
 from ...core.entries import clip
-from ...core.kernels.floats import DATA_ROUNDING, EPSILON
+from ...core.kernels.floats import DATA_ROUNDING, EPSILON, FEW_ROUNDINGS
 from ...core.tuning import DENSE_OPERATIONS, SPARSE_OPERATIONS
 from ...engines import engine_class, is_installed
 from ...engines.engine import EnginePoint, ProgramData, SolverLimits
@@ -43,7 +43,6 @@ from ...engines.polish import polish_steps
 from ...systems.minimum_degree import factor_sizes
 from .data import BoundedLeastSquares, ScaledLeastSquares, shortest_solution
 
-SLOPE_ROUNDING = 4.0 * EPSILON  # of the largest gradient there could be
 NamedPoints = Iterator[tuple[str, Vector]]  # each with the name of its solver
 
 
@@ -118,7 +117,7 @@ class FacePoint:
     def gradient_rounding(self) -> float:
         """Size of a gradient that may be only rounding."""
         norms = map(np.linalg.norm, (self.residual, self.x, self.problem.b))
-        return SLOPE_ROUNDING * float(sum(norms))
+        return FEW_ROUNDINGS * float(sum(norms))
 
     def curvature(self, direction: Vector, product: Vector) -> float:
         """Return dᵀ(AᵀA + ridge)d for a direction d and A d."""

@@ -76,7 +76,9 @@ def direct_methods(
     restarts = 0 if getattr(problem.origin, "is_of_convex_program", False) else None
     lemke = Stage(Lemke(restarts=restarts), "pivoting needs no property of M")
     newton = Stage(Newton(), "guesses which unknowns are at a bound, solves for the others")
-    interior = Stage(InteriorPoint(), "steps strictly between the bounds; M is or may be monotone")
+    interior = Stage(
+        InteriorPoint(), "steps strictly between the bounds; they reach a solution if M is monotone"
+    )
     game = is_game(problem)
     if game:
         if ZeroSumGame.of(problem) is not None:

@@ -143,8 +143,8 @@ def with_article(word: str) -> str:
     return f"an {word}" if word[0] in "AEIOU" or word.startswith("LCP") else f"a {word}"
 
 
-# "Class.name" or "function package" → "module:function", from the package on
-DOORS: dict[str, str] = {}
+# (class or package of models, verb) → "module:function", from the package on
+DOORS: dict[tuple[str, str], str] = {}
 
 
 class Door:
@@ -159,32 +159,28 @@ class Door:
         self.is_static = is_static
 
     def __set_name__(self, owner: type, name: str) -> None:
-        """Note the name under which the table has the function."""
-        self.name = f"{owner.__name__}.{name}"
+        """Note the key under which the table has the function."""
+        self.key = owner.__name__, name
 
     def __get__(self, instance: object, owner: type) -> Any:
         """Return the function, bound to the instance unless it is static."""
-        function = _function(self.name)
+        function = _function(self.key, ".".join(self.key))
         return function if self.is_static or instance is None else MethodType(function, instance)
 
 
-def foreign_function(name: str, model: Any) -> Callable[..., Any] | None:
-    """Return the function of that name for a model of another package; None for any other object.
+def foreign_function(verb: str, model: Any) -> Callable[..., Any] | None:
+    """Return the function of a verb for a model of another package; None for any other object.
 
     Examples
     --------
     >>> foreign_function("certify", 1.0) is None
     True
     """
-    for base in type(model).__mro__:
-        package = base.__module__.partition(".")[0]
-        for owner in (package, ".".join(base.__module__.split(".")[:2])):
-            if f"{name} {owner}" in DOORS:
-                return _function(f"{name} {owner}")
-    return None
+    keys = ((base.__module__.partition(".")[0], verb) for base in type(model).__mro__)
+    return next((_function(key, verb) for key in keys if key in DOORS), None)
 
 
-def _function(name: str) -> Callable[..., Any]:
-    module, _, path = DOORS[name].partition(":")
+def _function(key: tuple[str, str], name: str) -> Callable[..., Any]:
+    module, _, path = DOORS[key].partition(":")
     function: Callable[..., Any] = attrgetter(path)(import_module(f"lcp_plugin.{module}"))
-    return public(function, name.partition(" ")[0])
+    return public(function, name)

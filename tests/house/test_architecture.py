@@ -22,6 +22,7 @@ import lcp_plugin
 from lcp_plugin import algorithms
 from lcp_plugin.algorithms import REGISTRY, algorithm_class
 from lcp_plugin.core.kernels import floats
+from lcp_plugin.core.problem_classes import DOORS
 
 ROOT = Path(__file__).parents[2]
 PACKAGE = ROOT / "lcp_plugin"
@@ -216,6 +217,25 @@ def test_editors_and_python_have_the_same_public_names():
         words[-1]: words[1][1:] or words[-1] for words in map(str.split, lines) if "as" in words
     }
     assert stub == {name: home for name, home in lcp_plugin._HOME.items() if name != "LCP"}
+
+
+def doors() -> tuple[set[tuple[str, str]], set[str]]:
+    """Return (class, name) of each Door, and the verbs that are looked up for models of other packages."""
+    found, verbs = set(), set()
+    for node in (node for file in FILES.values() for node in ast.walk(parsed(file))):
+        if isinstance(node, ast.ClassDef):
+            lines = [one for one in ast.walk(node) if isinstance(one, ast.Assign)]
+            names = [ast.unparse(one).split("=")[0] for one in lines if "Door(" in ast.unparse(one)]
+            found |= {(node.name, name) for one in names for name in re.findall(r"\w+", one)}
+        elif isinstance(node, ast.Call) and ast.unparse(node.func) == "foreign_function":
+            verbs.add(node.args[0].value)
+    return found, verbs
+
+
+def test_each_door_is_read():
+    """DOORS has the doors of classes and verbs that are looked up for models, and no key that is never looked up."""
+    found, verbs = doors()
+    assert {key for key in DOORS if key[1] not in verbs} == found
 
 
 def lines_with(words):

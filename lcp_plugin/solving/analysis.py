@@ -50,7 +50,9 @@ class ProblemReport(MatrixReport):
         self.symbol, matrix, stages = resolve_name(f"lcp_plugin.{module}:planned")(problem)
         super().__init__(sp.csr_array((0, 0)) if matrix is None else matrix)
         self.problem, self.claims = problem, self.claims if name == "LCP" else CONVEXITY
-        planned = (PlannedStage(one.algorithm.name, one.because, one.until) for one in stages)
+        planned = (
+            PlannedStage(one.algorithm.name, one.because, one.budget.until) for one in stages
+        )
         self.plan = tuple(stage for stage, _ in groupby(planned))
 
     def __str__(self) -> str:

@@ -27,7 +27,7 @@ tableaus.
 from __future__ import annotations
 
 from collections.abc import Iterator
-from functools import partial
+from typing import Any
 
 import numpy as np
 
@@ -47,10 +47,17 @@ from ..proofs.verdicts import MatrixReport, is_negative
 from ..systems.definiteness import is_semidefinite_to_rounding, symmetric_part
 from ..systems.factors import factor_fits, sizes_of_factor
 from .explanation import last_resort
-from .run import Stage
+from .run import SPENT, Budget, Stage
 
 SEARCHED = "few enough unknowns to try every choice of bounds to the end"
 AGAIN = "the other methods found no solution"
+PIVOTING = "pivoting needs no property of M"
+CHECK = FeasibilityCheck(), "is there a solution at all?"
+NEWTON = Newton(), "guesses which unknowns are at a bound, solves for the others"
+INTERIOR = (
+    InteriorPoint(),
+    "steps strictly between the bounds; they reach a solution if M is monotone",
+)
 # times n, if other methods are unlikely to succeed: random games take 3 n to 13 n
 GAME_PIVOTS = 20.0
 
@@ -71,56 +78,38 @@ def direct_methods(
     is_searched = has_few_active_sets(problem) and not _seems_monotone(problem)
     if is_searched:
         yield Stage(ExhaustiveSearch(), SEARCHED)
-    check = Stage(FeasibilityCheck(), "is there a solution at all?")
-    # For a convex program, a path from r > 0 ends in a solution if a solution exists: other starts do not help.
-    restarts = 0 if getattr(problem.origin, "is_of_convex_program", False) else None
-    lemke = Stage(Lemke(restarts=restarts), "pivoting needs no property of M")
-    newton = Stage(Newton(), "guesses which unknowns are at a bound, solves for the others")
-    interior = Stage(
-        InteriorPoint(), "steps strictly between the bounds; they reach a solution if M is monotone"
-    )
-    game = is_game(problem)
-    if game:
+    is_positive = bool(has_positive_diagonal(problem.matrix).all())
+    if game := is_game(problem):
         if ZeroSumGame.of(problem) is not None:
             yield Stage(InteriorPoint(), "a zero-sum game: a linear program")
-        paths = partial(_exceeds_pivots, problem=problem, most=GAME_PIVOTS)
-        until = f"{GAME_PIVOTS:.0f} n pivots"
-        yield Stage(Lemke(), "a game: Lemke and Howson's paths, one a label", paths, until)
+        budget = _pivot_budget(problem, GAME_PIVOTS)
+        yield Stage(Lemke(), "a game: Lemke and Howson's paths, one a label", budget)
     unfit = _too_large(problem) | ({"lemke"} if game else set())
     unfit |= set() if prove_infeasibility else {"feasibility"}
     unfit |= set() if has_piqp() else {"interior_point"}
     row = contradictory_row(problem) if prove_infeasibility else None
     if row is not None and row.excludes(EPSILON):
         yield Stage(FeasibilityCheck(), "one row is inconsistent with its bounds")
-    elif (
-        "newton" not in unfit
-        and has_positive_diagonal(problem.matrix).all()
-        and MatrixReport(problem).is_z_matrix
-    ):
-        yield newton
+    elif "newton" not in unfit and is_positive and MatrixReport(problem).is_z_matrix:
+        yield Stage(*NEWTON)
         unfit.add("newton")
-    order = _order(problem, goal, newton, lemke, interior, check)
-    # A factorization that fills in is better than no result.
+    order = [Stage(*row) for row in _order(problem, goal, is_positive=is_positive)]
+    named = {stage.algorithm.name: stage for stage in order}  # the last of two
+    newton, lemke = named["newton"], named["lemke"]
     fit = [stage for stage in order if stage.algorithm.name not in unfit]
-    is_newton_repeated = False
-    for stage in fit or [stage for stage in order if stage in (newton, interior)]:
-        if stage is lemke and stage is fit[-1] and _is_unfinished(newton):
-            yield Stage(newton.algorithm, AGAIN)
-            is_newton_repeated = True
-        yield stage
-    if _is_unfinished(newton) and not is_newton_repeated:
+    # A factorization that fills in is better than no result.
+    fit = fit or [stage for stage in order if stage is newton or stage.algorithm is INTERIOR[0]]
+    last = [fit.pop()] if fit[-1] is lemke else []
+    yield from fit
+    if newton.ending == SPENT:
         yield Stage(newton.algorithm, AGAIN)
-    if _is_unfinished(lemke) and lemke not in fit[-1:]:
+    yield from last
+    if lemke.ending == SPENT and not last:
         yield Stage(lemke.algorithm, AGAIN)
     if is_searchable(problem) and not is_searched:
         yield Stage(ExhaustiveSearch(), SEARCHED)
-    if problem.n > PIVOTED_UP_TO and has_positive_diagonal(problem.matrix).all():
+    if problem.n > PIVOTED_UP_TO and is_positive:
         yield Stage(last_resort(problem), "the direct methods failed: sweeps to the end")
-
-
-def _is_unfinished(stage: Stage) -> bool:
-    """Return whether the budget of a method ended it."""
-    return bool(stage.iterations and stage.is_over is not None and stage.is_over(stage))
 
 
 def factor_passes(problem: LCP) -> float:
@@ -131,58 +120,53 @@ def factor_passes(problem: LCP) -> float:
     return 20 * sizes_of_factor(problem.matrix)[1] / max(problem.nonzeros, 1)
 
 
-def _exceeds_pivots(stage: Stage, problem: LCP, most: float) -> bool:
-    """Return whether lemke has made most · n pivots; each touches 2 n² entries."""
-    return stage.work * problem.nonzeros > 2.0 * most * problem.n**3
+def _pivot_budget(problem: LCP, most: float) -> Budget:
+    """Return the budget of most · n pivots of lemke; each touches 2 n² entries."""
+    entries = 2.0 * most * problem.n**3
+    return Budget(f"{most:.0f} n pivots", lambda stage: stage.work * problem.nonzeros > entries)
 
 
-def _exceeds_steps(stage: Stage, goal: float) -> bool:
-    """Return whether newton has made 20 factorizations, as interior_point needs, and needs as many more."""
-    return stage.iterations >= 20 and stage.steps_to_go(goal) > 20
+def _order(problem: LCP, goal: float, *, is_positive: bool) -> list[tuple[Any, ...]]:
+    """Return the methods by priority: algorithm, reason, and a budget if it has one."""
 
+    def exceeds_steps(stage: Stage) -> bool:  # as many factorizations as interior_point needs
+        return stage.iterations >= 20 and stage.trend.steps_to_go(goal) > 20
 
-def _order(
-    problem: LCP, goal: float, newton: Stage, lemke: Stage, interior: Stage, check: Stage
-) -> list[Stage]:
-    """Return the methods by priority, with their budgets."""
+    # For a convex program, a path from r > 0 ends in a solution if a solution exists: other starts do not help.
+    restarts = 0 if getattr(problem.origin, "is_of_convex_program", False) else None
+    lemke = Lemke(restarts=restarts), PIVOTING
     if _is_system(problem):
-        return [newton, interior, check, lemke]
-    is_positive = bool(has_positive_diagonal(problem.matrix).all())
+        return [NEWTON, INTERIOR, CHECK, lemke]
     is_symmetric = is_nearly_symmetric(problem.matrix)
     # The factorization of such an M is dense in any storage.
     is_full = problem.is_dense or problem.nonzeros > 0.25 * problem.n**2
-    steps = partial(_exceeds_steps, goal=goal), "20 steps, if 20 more are not enough"
-    most = 2.0 if is_positive else GAME_PIVOTS
-    pivots = partial(_exceeds_pivots, problem=problem, most=most), f"{most:.0f} n pivots"
-    if not is_full and is_positive and problem.n > PIVOTS_FIRST_UP_TO:
-        lemke.is_over, lemke.until = pivots
+    pivots = _pivot_budget(problem, 2.0 if is_positive else GAME_PIVOTS)
+    some = (*lemke, pivots)
+    last = some if not is_full and is_positive and problem.n > PIVOTS_FIRST_UP_TO else lemke
+    newton = (*NEWTON, Budget("20 steps, if 20 more are not enough", exceeds_steps))
     if _seems_monotone(problem):
         if (skew_border(problem.matrix)[0] != 1.0).any():  # a program, after a scaling of rows
-            return [interior, check, newton, lemke]
+            return [INTERIOR, CHECK, NEWTON, last]
         if is_full and not is_positive:
             # A tenth of the work of an interior point on a dense M; a portfolio takes n/25 pivots.
             few = Lemke(max_pivots=10 + problem.n // 8, restarts=0)
-            first = Stage(few, "some pivots, before a factorization of a dense M")
-            return [first, interior, check, newton, lemke]
+            first = few, "some pivots, before a factorization of a dense M"
+            return [first, INTERIOR, CHECK, NEWTON, last]
         if is_full and not is_symmetric:
-            lemke.is_over, lemke.until = pivots
-            return [lemke, interior, check, newton]
+            return [some, INTERIOR, CHECK, NEWTON]
         # Factorizing the program with M in its rows takes 4 to 11 times as many operations.
         if is_positive and not is_symmetric and sizes_of_factor(problem.matrix)[1] > 1e8:
-            newton.is_over, newton.until = steps
-            return [newton, interior, check, lemke]
-        return [interior, check, newton, lemke]
-    newton.is_over, newton.until = steps
+            return [newton, INTERIOR, CHECK, last]
+        return [INTERIOR, CHECK, NEWTON, last]
     # On frictional contact a path takes .1 (600 rows) to .4 (1 800 rows) of PIQP's time.
     up_to = PIVOTS_FIRST_UP_TO if is_positive else 2000
     if problem.is_dense or problem.n <= up_to:
         if is_positive:
-            lemke.is_over, lemke.until = pivots
-            return [newton, lemke, interior, check]
+            return [newton, some, INTERIOR, CHECK]
         # An arbitrary start takes an inverse: all of them take ten times as long as an interior point.
-        path = Stage(Lemke(restarts=0), "pivoting needs no property of M", *pivots)
-        return [path, interior, check, newton, lemke]
-    return [newton, interior, check, lemke] if is_positive else [interior, newton, check, lemke]
+        path = Lemke(restarts=0), PIVOTING, pivots
+        return [path, INTERIOR, CHECK, newton, last]
+    return [newton, INTERIOR, CHECK, last] if is_positive else [INTERIOR, newton, CHECK, last]
 
 
 def _too_large(problem: LCP) -> set[str]:

@@ -34,7 +34,7 @@ from ..methods.small import Rounds
 from ..proofs.guarantees import guarantee_of
 from .plan import plan
 from .result import NEXT, Callback, Result, name_of_run
-from .run import FAILED, Progress, Run, Stage
+from .run import FAILED, NO_STEP, Progress, Run, Stage
 
 
 class LCPRun(Run):
@@ -128,7 +128,7 @@ class LCPRun(Run):
         """
         progress, self.unmeasured = self.progress, step.z
         if step.measured is not None:
-            stage.record(step.measured.residual)
+            stage.trend.record(stage.iterations, step.measured.residual)
             return step.measured if step.measured.passes else step.measured._replace(z=step.z)
         if np.shape(step.z) != (self.problem.n,):
             raise InvalidOption(
@@ -142,7 +142,7 @@ class LCPRun(Run):
             residual = float(divide_nonnegative(np.float64(change), self.reference))
         if not is_known:
             increment = None if change is None else residual
-            if stage.residuals and not stage.is_due(increment, self.goal):
+            if not stage.trend.is_due(stage.iterations, increment, self.goal):
                 return None
             residual = self.data.estimate(step.z)
         point, iteration = Measured(step.z, residual, passes=False), progress.iteration
@@ -152,7 +152,7 @@ class LCPRun(Run):
             if not point.passes:  # the run continues from the iterate itself
                 self._failed_at, self._next_test = point.residual, iteration + 1 + iteration // 5
                 point = point._replace(z=step.z)
-        stage.record(point.residual, increment)
+        stage.trend.record(stage.iterations, point.residual, increment)
         if progress.iteration == 0:
             self.start_residual = point.residual
         return point
@@ -183,7 +183,7 @@ class LCPRun(Run):
             is_lost = step.increment is not None and not math.isfinite(step.increment)
             return Status.DIVERGED if is_lost else None
         # A method that is not monotone may rise, but not to ∞.
-        is_lost = algorithm.is_monotone and stage.rises >= 10
+        is_lost = algorithm.is_monotone and stage.trend.rises >= 10
         is_lost = is_lost or not math.isfinite(point.residual)
         is_lost = is_lost and not point.residual <= 1e8 * max(1.0, self.start_residual)
         # A contraction in a weighted norm may multiply the residual before it falls.
@@ -195,10 +195,10 @@ class LCPRun(Run):
         # z° solves what is left, up to rounding
         if point.is_limited and point.residual <= self.goal:
             return Status.PRECISION_LIMIT
-        if stage.is_flat() and self._is_at_floor():
+        if stage.trend.is_flat() and self._is_at_floor():
             return Status.PRECISION_LIMIT
         is_watched = algorithm.is_monotone or algorithm.is_watched
-        if is_watched and stage.is_stalled(self.problem.n, self.goal, left):
+        if is_watched and stage.trend.is_stalled(self.problem.n, self.goal, left):
             return Status.MAX_ITERATIONS if self.is_guaranteed else Status.STALLED
         return None
 
@@ -246,7 +246,7 @@ class LCPRun(Run):
         advice = advice_of_run(self.problem, self.chosen, self.settings, status)
         happened, begins, next_step = advice.partition("; ")
         is_stalled = status is reason is Status.STALLED and self.chosen is not None
-        if is_stalled and self.progress.stages[-1].has_ended:
+        if is_stalled and self.progress.stages[-1].ending == NO_STEP:
             steps = format_count(max(self.progress.iteration, 0), "step")
             happened = f"iterates ended after {steps}"
         if status is Status.MAX_ITERATIONS and self.progress.end is None:  # it is not reached

@@ -47,7 +47,7 @@ from ..methods.search import FeasibilityCheck
 from ..methods.small import GUESSED, Rounds, takes_rounds
 from .direct import direct_methods, factor_passes
 from .result import StageRecord
-from .run import Stage
+from .run import Budget, Stage
 
 ASKED_EVERY = 20  # iterations between two forecasts
 SWEEPING: dict[str, Algorithm] = {
@@ -98,7 +98,7 @@ def repeated(last: StageRecord) -> Stage | None:
     if algorithm is None:
         return None
     most = 3.0 * last.work + ASKED_EVERY
-    return Stage(algorithm, "solved the step before", lambda stage: stage.work > most)
+    return Stage(algorithm, "solved the step before", Budget(is_over=lambda one: one.work > most))
 
 
 def _sweeping_stages(problem: LCP, goal: float) -> Iterator[Stage]:
@@ -111,32 +111,34 @@ def _sweeping_stages(problem: LCP, goal: float) -> Iterator[Stage]:
     def is_trial_over(stage: Stage) -> bool:
         if stage.iterations == 1 and is_forecast:  # squared: one sweep is a weak forecast
             return fewest_sweeps(problem, stage, goal) > PATIENCE**2 * cycles
-        is_near = stage.work <= 30.0 and stage.steps_to_go(goal) <= 10.0  # psor takes as many
+        is_near = stage.work <= 30.0 and stage.trend.steps_to_go(goal) <= 10.0  # psor takes as many
         return stage.iterations >= 3 and not is_near
 
     def is_too_slow(stage: Stage) -> bool:
         if stage.iterations < 40 or stage.iterations % ASKED_EVERY or stage.work < least:
             return False
-        return stage.work + stage.steps_to_go(goal) > PATIENCE * best
+        return stage.work + stage.trend.steps_to_go(goal) > PATIENCE * best
 
-    until = "3 sweeps, unless 10 more are enough"
-    yield (npsor := Stage(SWEEPING["npsor"], CHEAP, is_trial_over, until))
-    sweeps = max(npsor.steps_to_go(goal), fewest_sweeps(problem, npsor, goal))
-    if not (is_forecast and npsor.residuals) or 3.0 * math.sqrt(sweeps) <= best:
-        until = f"{best:.0f} passes, if its rate needs many more"
-        yield Stage(SWEEPING["psor"], ACCELERATED, is_too_slow, until)
+    budget = Budget("3 sweeps, unless 10 more are enough", is_trial_over)
+    yield (npsor := Stage(SWEEPING["npsor"], CHEAP, budget))
+    sweeps = 0.0
+    if is_forecast and npsor.trend.residuals:
+        sweeps = max(npsor.trend.steps_to_go(goal), fewest_sweeps(problem, npsor, goal))
+    if 3.0 * math.sqrt(sweeps) <= best:
+        budget = Budget(f"{best:.0f} passes, if its rate needs many more", is_too_slow)
+        yield Stage(SWEEPING["psor"], ACCELERATED, budget)
     if cycles < math.inf:
+        trial = 270.0  # passes: three times as many as are predicted on large grids
 
         def is_factorization_cheaper(stage: Stage) -> bool:
-            is_asked = stage.iterations % ASKED_EVERY == 0
-            if not is_asked or stage.work <= 270.0:
+            if stage.iterations % ASKED_EVERY or stage.work <= trial:
                 return False
-            needed = stage.steps_to_go(goal) * stage.work / stage.iterations
+            needed = stage.trend.steps_to_go(goal) * stage.work / stage.iterations
             return needed > (passes := factor_passes(problem)) and stage.work > 0.5 * passes
 
         why = "a sparse M with many rows: work in proportion to them"
-        until = "270 passes, if factorizations are predicted to be cheaper"
-        yield Stage(SWEEPING["multigrid"], why, is_factorization_cheaper, until)
+        until = f"{trial:.0f} passes, if factorizations are predicted to be cheaper"
+        yield Stage(SWEEPING["multigrid"], why, Budget(until, is_factorization_cheaper))
         if factor_passes(problem) == math.inf:
             yield Stage(SWEEPING["psor"], "a factorization of M is predicted to be too large")
 
@@ -145,7 +147,7 @@ def _cycle_passes(problem: LCP) -> float:
     """Return the predicted work of multigrid in passes over M; ∞ if it does not suit."""
     if problem.matrix.is_dense or problem.n <= DIRECT_UP_TO:
         return math.inf
-    # On few rows the calls on all levels cost as much as the passes; with them, a solve takes the time of 190 to 310.
+    # The calls on all levels cost as much as passes over 350 000 rows; with them, a solve takes the time of 190 to 310.
     return 90.0 + 350_000.0 / problem.n
 
 
@@ -160,13 +162,11 @@ def _direct_passes(problem: LCP) -> float:
 
 
 def fewest_sweeps(problem: LCP, stage: Stage, goal: float) -> float:
-    """Return the sweeps that an error needs that is constant on the free unknowns; 0 if that is unknown."""
+    """Return the sweeps that an error needs that is constant on the free unknowns, M symmetric; 0 if unknown."""
     z = stage.z
-    if z is None or problem.matrix.is_dense or problem.n <= DIRECT_UP_TO:
+    if z is None or goal <= 0.0:
         return 0.0
-    if not (stage.residuals and goal > 0.0 and is_nearly_symmetric(problem.matrix)):
-        return 0.0
-    gain = stage.residuals[-1][1] / goal
+    gain = stage.trend.residuals[-1][1] / goal
     margin = 1e-2 * max(z.max(), -z.min())  # npsor approaches a bound without reaching it
     is_free = (problem.lower + margin < z) & (z < problem.upper - margin)
     free = is_free.astype(np.float64)

@@ -29,6 +29,7 @@ PROGRESS = (
     0.99  # a residual that has not fallen below this share of an earlier residual has not fallen
 )
 FAILED = (Status.STALLED, Status.DIVERGED)  # another algorithm may do better
+SPENT, NO_STEP = "budget spent", "no further step"  # endings of a stage
 # the status of a point that does not pass
 CUT_SHORT = (*LIMITS, Status.INTERRUPTED, Status.DIVERGED)
 
@@ -39,101 +40,80 @@ class Named(NamedTuple):
     name: str
 
 
-@dataclass(eq=False)
-class Stage:
-    """Method of a run, with its budget and progress.
+class Budget(NamedTuple):
+    """When a stage ends in favour of the next: for readers, and as a function that is called after each step."""
+
+    until: str = ""
+    is_over: Callable[[Any], bool] = lambda stage: False
+
+
+@dataclass
+class Trend:
+    """Residuals of a stage, and whether they still fall.
 
     Attributes
     ----------
-    algorithm : Algorithm, or another object with a `name`
-    because : str
-        The reason for it, for readers.
-    is_over : callable or None
-        Budget, checked after each step: if it returns True, the next method takes over. None means no budget.
-    until : str
-        The budget, for readers.
-    steps : iterable of Step
-        The proposed points, unless the run takes them from the algorithm.
-    iterations, work : int, float
-        Work in passes over M.
-    z : ndarray, shape (n,), or None
-        The latest iterate, as long as the stage lasts.
     residuals : list of (int, float)
         Iteration and relative residual: the first measurements and the latest, at most 512.
+    best : float
+        The least residual.
     rises : int
         Number of latest residuals that exceed the residual before each.
-    parts : list of (str, int, float)
-        Label, iterations and work, if the algorithm labels its steps.
-    remark : str
-        A clause for the advice.
-    has_ended, has_changed_parameter : bool
-        Whether the method had no further step; whether it has changed a parameter.
-    is_reported : bool
-        True for a run that reports its steps itself.
-    window : (int, float), optional
-        Start of the present test of progress, and the best residual there.
+    has_changed_parameter : bool
+        Whether the method has changed a parameter.
+    next_check, floor_check : int
+        Iteration of the next measurement; iterations without a fall until the next comparison with rounding.
+    fall, window : (int, float)
+        Iteration and best residual at the last fall, and at the start of the present test of progress.
     """
 
-    algorithm: Any
-    because: str = ""
-    is_over: Callable[[Stage], bool] | None = None
-    until: str = ""
-    steps: Iterable[Step] = ()
-    iterations: int = 0
-    work: float = 0.0
-    z: Vector | None = None
     residuals: list[tuple[int, float]] = field(default_factory=list)
+    best: float = math.inf
     rises: int = 0
-    parts: list[tuple[str, int, float]] = field(default_factory=list)
-    remark: str = ""
-    has_ended: bool = False
     has_changed_parameter: bool = False
-    is_reported: bool = False
-    _best: float = math.inf
-    _fall: tuple[int, float] = (0, math.inf)
-    _floor_check: int = FIRST_FLOOR_CHECK
+    next_check: int = FIRST_CHECK
+    residual_per_increment: float = 1.0
+    fall: tuple[int, float] = (0, math.inf)
     window: tuple[int, float] | None = None
-    _next_check: int = FIRST_CHECK
-    _residual_per_increment: float = 1.0
+    floor_check: int = FIRST_FLOOR_CHECK
 
-    def is_due(self, increment: float | None, goal: float) -> bool:
+    def is_due(self, iteration: int, increment: float | None, goal: float) -> bool:
         """Return whether the run must measure the residual: at geometric intervals, and if it may be small enough.
 
-        Parameters
-        ----------
-        increment : float or None
-            Increment of the step, relative to the reference; it estimates the residual.
-        goal : float
+        The increment of the step, relative to the reference, estimates it.
         """
-        if increment is None or self.iterations >= self._next_check:
+        if not self.residuals or increment is None or iteration >= self.next_check:
             return True
-        return increment * self._residual_per_increment <= goal
+        return increment * self.residual_per_increment <= goal
 
-    def record(self, residual: float, increment: float | None = None) -> None:
-        """Record the relative residual of the present iteration.
+    def record(self, iteration: int, residual: float, increment: float | None = None) -> None:
+        """Record the relative residual of an iteration.
 
         With the increment of a step whose residual had to be measured, the next measurement is due at 1.5 times the
         iterations.
         """
         if increment is not None:
-            latest = max(self.iterations, FIRST_CHECK)
-            self._next_check = max(self.iterations + 1, math.ceil(latest * 1.5))
+            self.next_check = math.ceil(max(iteration, FIRST_CHECK) * 1.5)
             if increment > 0.0:
-                self._residual_per_increment = residual / increment
+                self.residual_per_increment = residual / increment
         before = self.residuals[-1][1] if self.residuals else math.inf
         self.rises = self.rises + 1 if residual > before else 0
-        self._best = min(self._best, residual)
+        self.best = min(self.best, residual)
         if len(self.residuals) >= 512:
             self.residuals.pop()
-        self.residuals.append((self.iterations, residual))
+        self.residuals.append((iteration, residual))
+
+    def change_parameter(self) -> None:
+        """Begin the test of progress again."""
+        self.has_changed_parameter, self.window = True, None
 
     def is_flat(self) -> bool:
         """Return whether it is time to compare with rounding: no fall for 25, 50, 100, … iterations."""
-        since, value = self._fall
-        if self._best < PROGRESS * value:
-            self._fall, self._floor_check = (self.iterations, self._best), FIRST_FLOOR_CHECK
-        elif self.iterations - since >= self._floor_check:
-            self._floor_check *= 2
+        iteration, (since, value) = self.residuals[-1][0], self.fall
+        if self.best < PROGRESS * value:
+            self.fall, self.floor_check = (iteration, self.best), FIRST_FLOOR_CHECK
+        elif iteration - since >= self.floor_check:
+            self.floor_check *= 2
             return True
         return False
 
@@ -143,18 +123,14 @@ class Stage:
         A front that crosses the unknowns, one in a sweep, does not change the largest residual until it has passed. So
         a window has 200 to 2000 iterations, n if that is between, and half as many as the stage had before it.
         """
-        if self.window is None:
-            self.window = (self.iterations, self._best)
-        since, value = self.window
-        if self.iterations - since < max(200, min(n, 2000), since // 2):
+        best, now = self.best, (self.residuals[-1][0], self.best)
+        self.window = since, value = self.window or now
+        if (steps := now[0] - since) < max(200, min(n, 2000), since // 2):
             return False
-        self.window = (self.iterations, self._best)
-        if self._best < PROGRESS * value:
-            return False
-        best = self._best
-        fall = math.log(value / best) / (self.iterations - since) if 0.0 < best < value else 0.0
+        self.window = now
+        fall = math.log(value / best) / steps if 0.0 < best < value else 0.0
         needed = math.log(best / goal) if 0.0 < goal < best else math.inf
-        return needed > fall * iterations_left
+        return best >= PROGRESS * value and needed > fall * iterations_left
 
     def steps_to_go(self, goal: float) -> float:
         """Return the number of further iterations to that residual, at the rate of the second half of the stage.
@@ -172,6 +148,49 @@ class Stage:
             return math.inf
         rate = (last / first) ** (1.0 / (last_step - first_step))
         return math.log(goal / last) / math.log(rate) if 0.0 < rate < 1.0 else math.inf
+
+
+@dataclass(eq=False)
+class Stage:
+    """Method of a run, with its budget, its counts and its residuals.
+
+    Attributes
+    ----------
+    algorithm : Algorithm, or another object with a `name`
+    because : str
+        The reason for it, for readers.
+    budget : Budget
+        When the next method takes over.
+    steps : iterable of Step
+        The proposed points, unless the run takes them from the algorithm.
+    is_reported : bool
+        True for a run that reports its steps itself.
+    iterations, work : int, float
+        Work in passes over M.
+    z : ndarray, shape (n,), or None
+        The latest iterate, as long as the stage lasts.
+    trend : Trend
+        Of its residuals.
+    parts : list of (str, int, float)
+        Label, iterations and work, if the algorithm labels its steps.
+    remark : str
+        A clause for the advice.
+    ending : str
+        SPENT or NO_STEP, if one of them ended it.
+    """
+
+    algorithm: Any
+    because: str = ""
+    budget: Budget = Budget()  # noqa: RUF009 - immutable
+    steps: Iterable[Step] = ()
+    is_reported: bool = False
+    iterations: int = 0
+    work: float = 0.0
+    z: Vector | None = None
+    trend: Trend = field(default_factory=Trend)
+    parts: list[tuple[str, int, float]] = field(default_factory=list)
+    remark: str = ""
+    ending: str = ""
 
 
 class Progress:
@@ -230,7 +249,7 @@ class Progress:
         stage.z, stage.remark = step.z, step.remark or stage.remark
         stage.iterations, stage.work = stage.iterations + iterations, stage.work + step.work
         if step.is_settling:
-            stage.has_changed_parameter, stage.window = True, None
+            stage.trend.change_parameter()
         if label := step.label or (stage.algorithm.name if stage.parts else ""):
             is_same = bool(stage.parts) and stage.parts[-1][0] == label
             _, before, spent = stage.parts.pop() if is_same else ("", 0, 0.0)
@@ -447,11 +466,12 @@ class Run:
         for step in self.steps_of(stage):
             if (end := self._take(stage, step)) is not None:
                 break
-            if stage.is_over is not None and stage.is_over(stage):
+            if stage.budget.is_over(stage):
+                stage.ending = SPENT
                 return Status.STALLED
         else:
             progress.clock.read()  # steps may end by themselves because time is over
-            stage.has_ended, end = True, Status.STALLED
+            stage.ending, end = NO_STEP, Status.STALLED
             if progress.clock.elapsed >= self.settings.max_seconds:
                 end = progress.end = Status.MAX_SECONDS
         return self.end_of_stage(stage, end)

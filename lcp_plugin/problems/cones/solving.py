@@ -31,7 +31,7 @@ from ...solving.result import (
     end_at_once,
     with_samples,
 )
-from ...solving.run import FAILED, Progress, Run, Stage
+from ...solving.run import FAILED, Budget, Progress, Run, Stage
 from ..contact import ContactMotion, motion_of
 from . import methods, newton
 from .certificate import ConeCertificate, ContactInfeasibility, infeasibility_proof
@@ -222,8 +222,8 @@ def planned(problem: Blocks) -> tuple[str, Any, list[Stage]]:
     sweeps, steps = (", ".join(map(str, counts)) for counts in zip(*SCHEDULE, strict=True))
     third = (methods.FixedPoint(), CONVEX), (methods.ConeInteriorPoint(), MIDDLE)
     return "M", problem.rows.matrix, [
-        Stage(methods.ConeNSGS(), SWEPT, until=f"{sweeps} sweeps"),
-        Stage(methods.ConeNewton(), "after each of these sweeps", until=f"{steps} steps"),
+        Stage(methods.ConeNSGS(), SWEPT, Budget(f"{sweeps} sweeps")),
+        Stage(methods.ConeNewton(), "after each of these sweeps", Budget(f"{steps} steps")),
         Stage(*third[problem.has_friction]),
         Stage(methods.ConeNSGS(), "long sweeps, then Newton's steps from points nearby"),
     ]  # fmt: skip

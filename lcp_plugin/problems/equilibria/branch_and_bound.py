@@ -31,7 +31,7 @@ from ...core.checks import Vector, is_number, vector_option
 from ...core.deadline import Clock, is_over, time_limit
 from ...core.errors import InvalidOption, UnsupportedModel
 from ...core.settings import PROVEN, Status, checked_tolerance
-from ...solving.run import Named, Stage
+from ...solving.run import Budget, Named, Stage
 from ..programs.no_minimum import QPUnboundedness, known_proof
 from .equilibrium_program import Cases, EquilibriumProgram, branches
 from .relaxations import ENDS, EquilibriumResult, ExternalBound, Node, Relaxations
@@ -138,7 +138,7 @@ def planned(problem: EquilibriumProgram) -> tuple[str, Any, list[Stage]]:
     most = 300 // max(1, problem.pairs) if problem.is_provable else 0
     until = "" if minimize_or_none() is None else f"{most} nodes; SCIP follows, then more nodes"
     because = "each node bounds several pieces, with a proof of its bound"
-    return "P", problem.program.P, [Stage(Named("branch and bound"), because, until=until)]
+    return "P", problem.program.P, [Stage(Named("branch and bound"), because, Budget(until))]
 
 
 class BranchAndBound:

@@ -24,7 +24,7 @@ from ...core.tuning import CHEAP_UP_TO
 from ...judges.lcp import Measured, RowData
 from ...solving.dispatch import method_of
 from ...solving.result import Callback, Result
-from ...solving.run import Named, Progress, Run, Stage
+from ...solving.run import Budget, Named, Progress, Run, Stage
 from ..programs.no_minimum import proof_of_contradiction
 from .data import Evaluations, Linearization, NonlinearProblem
 from .searches import RESTARTS, SEARCHES, JosephyNewton
@@ -175,7 +175,7 @@ def begin_at(first: Linearization) -> tuple[Linearization, str]:
 def planned(problem: NonlinearProblem) -> tuple[str, Any, list[Stage]]:
     """Return the derivative at the start and the stages of a nonlinear problem for `analyze`."""
     until = "25 steps gain nothing; then by nonmonotone searches, then from other starts"
-    stages, n = [Stage(Named(JosephyNewton.name), TANGENTS, until=until)], problem.n
+    stages, n = [Stage(Named(JosephyNewton.name), TANGENTS, Budget(until))], problem.n
     point = None if n is None else begin_at(Linearization(problem, problem.nearest_to_zero))[0]
     return "F′ at the start", point and point.M, stages
 

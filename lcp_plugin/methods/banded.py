@@ -237,23 +237,22 @@ def solve_on_band(band: Bands, state: NDArray[np.int8], value: Vector, q: Vector
     value, q : arrays, shape (n,)
     """
     right = np.where(state != 0, value, -q * band.weights)
-    x = solve_held(held_entries(band, state), band.below, right)
+    x = solve_held(held_entries(band, state != 0), band.below, right)
     return x if x is not None and np.isfinite(x).all() else None
 
 
-def held_entries(band: Bands, state: NDArray[np.int8]) -> Vector:
-    """Return the bands of rows of size 1, for each active set: rows of the identity where the state is not 0.
+def held_entries(band: Bands, is_held: NDArray[np.bool_]) -> Vector:
+    """Return the bands of rows of size 1, for each active set: rows of the identity at their bounds.
 
     Parameters
     ----------
     band : Bands
-    state : array of int, shape (…, n)
+    is_held : array of bool, shape (…, n)
 
     Returns
     -------
     array, shape (…, k, n)
     """
-    is_held = state != 0
     entries = np.where(is_held[..., np.newaxis, :], 0.0, band.entries * band.weights)
     entries[..., band.below, :][is_held] = 1.0
     return entries

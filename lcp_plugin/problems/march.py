@@ -24,7 +24,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from ..core import checks
 from ..core.algorithm import Algorithm
-from ..core.checks import AnyMatrix, Array, Vector, derived_property, read_only
+from ..core.checks import AnyMatrix, Array, BoolVector, Vector, derived_property, read_only
 from ..core.deadline import Clock
 from ..core.entries import row_numbers
 from ..core.errors import (
@@ -489,9 +489,10 @@ def _check_count(name: str, values: Any, k: int) -> None:
         )
 
 
+# solutions, rows at their lower and at their upper bounds, degenerate rows, and whether these are certain
+Settled = tuple[Vector, NDArray[np.bool_], BoolVector, bool]
 LEFT = 2.0**-20  # relative to the last change: bound of the remaining error
 CLEAR = 64.0  # times the rounding error
-KINK = 2  # times the side of a row at this bound with w = 0
 
 
 class Band(NamedTuple):
@@ -511,17 +512,17 @@ class Band(NamedTuple):
         return cls(matrix.csr, abs(matrix.csr), entries, propagation(propagator))
 
     def follow(
-        self, state: NDArray[np.int8], value: Vector, right: Vector, before: Vector
+        self, is_held: BoolVector, value: Vector, right: Vector, before: Vector
     ) -> tuple[Vector, Vector, Vector] | None:
         """Return x, w = M x + r and the rounding error of w of consecutive steps, r = right + C before.
 
-        `before` is the x of the step before. x is `value` on rows with a state; the other rows are free and satisfy
+        `before` is the x of the step before. x is `value` on held rows; the other rows are free and satisfy
         w = 0. The rounding error is relative to the row weights. The result is None if a block of free rows is nearly
         singular, because its residual exceeds the rounding error, or its terms cancel.
 
         Parameters
         ----------
-        state, value, right : arrays, shape (k, n)
+        is_held, value, right : arrays, shape (k, n)
         before : array, shape (n,)
 
         Returns
@@ -529,10 +530,10 @@ class Band(NamedTuple):
         x, w : array, shape (k, n)
         rounding : array, shape (k,)
         """
-        x, unit, is_free = np.empty(right.shape), self.entries.weights, state == 0
+        x, unit, is_free = np.empty(right.shape), self.entries.weights, ~is_held
         values, weights = np.where(is_free, -right * unit, value), np.where(is_free, unit, 0.0)
         last = before
-        for k, entries in enumerate(held_entries(self.entries, state)):
+        for k, entries in enumerate(held_entries(self.entries, is_held)):
             right_side = values[k] - weights[k] * self.propagate(last)
             if (solution := solve_held(entries, self.entries.below, right_side)) is None:
                 return None
@@ -550,9 +551,9 @@ class Band(NamedTuple):
 class Steps:
     """Consecutive steps of a march; `steps` is the slice of their numbers.
 
-    On a narrow band each solution is first computed again on its free rows, and its rows are classified: −1 at the
-    lower bound, 0 between, 1 at the upper bound, ∓2 if also w = 0. Each step is passed to its Derivative if rounding
-    error leaves rows of a step undecided, or if a free block is nearly singular.
+    On a narrow band each solution is first computed again on its free rows, and its rows are classified: at the lower
+    bound, at the upper bound, else free; degenerate at a bound with w = 0. Each step is passed to its Derivative if
+    rounding error leaves rows of a step undecided, or if a free block is nearly singular.
 
     Parameters
     ----------
@@ -571,49 +572,51 @@ class Steps:
         self.q = march.forcing[self.steps] + (march.propagator @ states[:-1].T).T
         if first not in whole.settled:
             whole.settled[first] = self._settle(whole.band)
-        z, self.sides, self.is_plain = whole.settled[first]
+        z, self.at_bounds, self.kinks, self.is_plain = whole.settled[first]
         self.z = z.copy()
 
     def __len__(self) -> int:
         return len(self.states) - 1
 
-    def _settle(self, band: Band | None) -> tuple[Vector, NDArray[np.int8], bool]:
+    def _settle(self, band: Band | None) -> Settled:
         """Solve each step on its free rows once; return the solutions, the states of rows, and if active sets stay.
 
         Without a band, they count as not decided.
         """
         problem, z = self.march.problem, self.states[1:]
-        change = before = np.full(z.shape, KINK, np.int8)
+        change = before = at_bounds = np.zeros((2, *z.shape), np.bool_)
         if band is None:
-            return z, before, False
+            return z, at_bounds, at_bounds[0], False
         lower, upper = self.march.bounds_of(self.steps)
-        scale = problem.residual_scale
+        scale, is_fixed = problem.residual_scale, lower == upper
         for is_last in (False, True):
             w, size = (band.M @ z.T).T + self.q, (band.size @ np.abs(z).T).T + np.abs(self.q)
             above, below = z - lower, upper - z
             nearest = np.minimum(above, below) * scale
             is_negligible = (nearest < MAY_UNDERFLOW) & (np.abs(w) < MAY_UNDERFLOW)
-            rules = lower == upper, is_negligible, above * scale <= w, -below * scale >= w
-            signs = np.where(w < 0.0, 1, -1), np.where(above <= below, -1, 1), -1, 1
-            side = np.select(rules, signs)
+            rules = is_fixed, is_negligible, above * scale <= w
+            at_upper = np.select(rules, (w < 0.0, below < above, False), -below * scale >= w)
+            at_lower = (is_fixed | is_negligible | rules[2]) & ~at_upper
+            at_bounds = np.stack([at_lower, at_upper])
             if is_last:
                 break
-            before = side
-            value = np.where(side < 0, lower, upper)
-            right = np.where(side, value - z, -w * band.entries.weights)
-            entries = np.concatenate([*held_entries(band.entries, side)], axis=1)
+            before, is_held = at_bounds, np.logical_or(at_lower, at_upper)
+            value = np.where(at_upper, upper, lower)
+            right = np.where(is_held, value - z, -w * band.entries.weights)
+            entries = np.concatenate([*held_entries(band.entries, is_held)], axis=1)
             step = solve_held(entries, band.entries.below, right.ravel())
             if step is None:
-                return z, side.astype(np.int8), False
+                return z, at_bounds, at_upper, False
             step = step.reshape(z.shape)
-            change, z = np.abs(step), np.where(side, value, z + step)
+            change, z = np.abs(step), np.where(is_held, value, z + step)
         size *= EPSILON * (np.diff(band.M.indptr) + 1)
         near, slight = size + LEFT * change * scale, size + LEFT * (band.size @ change.T).T
-        is_clear = (nearest > CLEAR * near) | (np.abs(w) > CLEAR * slight) | (lower == upper)
+        is_clear = (nearest > CLEAR * near) | (np.abs(w) > CLEAR * slight) | is_fixed
         is_kink = is_negligible | ((np.maximum(nearest, np.abs(w)) <= size) & ~is_clear)
-        kinks = np.where(below < above, KINK, -KINK)
-        sides = np.where(is_kink & (lower != upper), kinks, side).astype(np.int8)
-        return z, sides, bool(((side == before) & (is_clear | is_kink)).all())
+        is_plain = bool(((at_bounds == before).all(axis=0) & (is_clear | is_kink)).all())
+        is_kink &= ~is_fixed
+        nearer = np.stack([above <= below, below < above])
+        return z, np.where(is_kink, nearer, at_bounds), is_kink, is_plain
 
     def at(self, k: int) -> StepDerivative:
         """Return the derivative of a step by the data of the step."""
@@ -628,7 +631,7 @@ class Steps:
 
     def degenerate(self, k: int) -> NDArray[np.intp]:
         """Return the degenerate rows of a step."""
-        return np.flatnonzero(np.abs(self.sides[k]) > 1) if self.is_plain else self.at(k).degenerate
+        return np.flatnonzero(self.kinks[k]) if self.is_plain else self.at(k).degenerate
 
     def jvp(
         self, dM: list[Any], dC: AnyMatrix, df: Vector, low: Vector, high: Vector, before: Vector
@@ -638,7 +641,7 @@ class Steps:
         At the call, `before` is the change of the state before the first step; the last change is written to it.
         """
         h = df + (dC @ self.states[:-1].T).T
-        value = np.where(self.sides < 0, low, np.where(self.sides > 0, high, 0.0))
+        value = np.select([*self.at_bounds], [low, high])
 
         def solve_alone(k: int, before: Vector) -> Vector:
             alone = self.at(k)
@@ -667,8 +670,7 @@ class Steps:
 
         order, none = np.arange(len(self))[::-1], np.zeros(g.shape)
         by_q, w = self._follow(self.whole.transposed, order, none, g[order], after, solve_alone)
-        side = self.sides[order]
-        of_bounds[:, order] += w * (side < 0), w * (side > 0)
+        of_bounds[:, order] += w * self.at_bounds[:, order]
         after[:] = by_q[-1]
         return by_q[order]
 
@@ -679,13 +681,13 @@ class Steps:
 
         Forwards, a degenerate row stays at its bound if its slack agrees; backwards, any piece is a gradient.
         """
-        side = self.sides[order]
         if band is not None and self.is_plain:
-            path = band.follow(side, value, right, before)
+            at_bounds = self.at_bounds[:, order]
+            path = band.follow(at_bounds.any(axis=0), value, right, before)
             if path is not None:
                 x, w, rounding = path
-                signed = np.where(side > 0, w, -w) * band.entries.weights
-                is_kink = (np.abs(side) == KINK) & (order[-1] >= order[0])
+                signed = np.where(at_bounds[1], w, -w) * band.entries.weights
+                is_kink = self.kinks[order] & (order[-1] >= order[0])
                 if not (is_kink & (signed > rounding[:, np.newaxis])).any():
                     return x, w
         x = np.empty(right.shape)
@@ -757,7 +759,7 @@ class MarchDerivative:
         self.march, self.derivative_at = march, each
         self.before: StepDerivative | None = None  # of the last step
         # By the first step of a block: as much memory as the march, a quarter of the time of further directions.
-        self.settled: dict[int, tuple[Vector, NDArray[np.int8], bool]] = {}
+        self.settled: dict[int, Settled] = {}
 
     def __len__(self) -> int:
         return len(self.march)

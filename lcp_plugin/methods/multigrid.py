@@ -62,7 +62,7 @@ from ..core.structure import is_nearly_symmetric
 from ..systems.hierarchy import kernels
 from ..systems.hierarchy.grids import Grid, Operator
 from ..systems.hierarchy.kernels import dot, span
-from ..systems.hierarchy.levels import grid_of, hierarchy_of
+from ..systems.hierarchy.levels import COARSEST, grid_of, hierarchy_of
 from ..systems.hierarchy.truncation import KrylovCorrection, Truncation
 
 SMOOTHING_SWEEPS = 60  # of a vector that shows how units differ
@@ -77,7 +77,7 @@ class Multigrid(Algorithm):
     Parameters
     ----------
     coarsest : int
-        A grid with at most this many unknowns is not coarsened, ≥ 1.
+        A grid with at most this many unknowns is not coarsened, ≥ 1; set it to study several grids of a small problem.
     hands_over : bool
         If True, end as soon as cycles and sweeps have gained little three times, even if the energy still falls, so
         that another method can continue; used by `auto`.
@@ -133,7 +133,7 @@ class Multigrid(Algorithm):
     is_monotone: ClassVar[bool] = False
     is_watched: ClassVar[bool] = True
 
-    coarsest: int = 60
+    coarsest: int = COARSEST
     hands_over: bool = False
 
     def __post_init__(self) -> None:

@@ -35,8 +35,12 @@ LAZY = 16  # imports of package files inside functions, which are for weight
 # lines with vars(…) or __dict__: what they write, a reader does not find by its name
 MOST_WRITES = 10
 LARGE = 150  # lines of code, without docstrings, that a reader holds together
-MOST_LARGE_CLASSES = 19
-LONG = 50  # lines of code of a function
+LARGE_CLASSES = {
+    *("Statement", "Model", "RowData", "EquilibriumProgram", "AgentProgram", "FreeSystem"),
+    *("BranchAndBound", "LCPRun", "ProgramRun", "_Model", "ConeRun", "_Reader", "ExactSimplex"),
+    *("QuadraticProgram", "LemkePath", "JosephyNewton", "BatchRun", "ProgramMatrices"),
+}
+LONG = 45  # lines of code of a function
 REASONS = {
     "minimum_degree": "a kernel: the quotient graph lives in arrays that each step of the order changes",
     "follow_paths": "a kernel: a call per pivot costs more than the pivots of a small problem",
@@ -45,6 +49,11 @@ REASONS = {
     "cross_validate": "the reasons for agree, mismatch and not comparable, in their order",
     "regression_of": "the conditions under which a program states a regression, in their order",
     "certify": "one verb for all classes and models, each with its refusal",
+    "variational": "one verb for affine, nonlinear and modeled F, each with its refusals",
+    "contacts_of_bodies": "the checks of masses, normals and tangents, in the order in which they are read",
+    "solve_nonlinear": "the checks of the options of a class, then one run",
+    "_measurements": "the rows of a study in their order, and each exception of code of the user",
+    "_next_vertex": "a kernel: one step of many paths, traced as one expression",
 }
 # names that play one role in several files: the reader who knows one knows all
 ROLES = {
@@ -55,8 +64,8 @@ ROLES = {
     **dict.fromkeys(("criterion_at", "verdict_at", "first_point", "planned"), "of a problem class"),
     "ADVICE": "texts of the statuses of a problem class",
 }
-MOST_OF_ANY = 772  # signatures that say ": Any": a class or a protocol says more
-MOST_CONSTANTS = 225  # numbers with a name: a reader has to carry each from file to file
+MOST_OF_ANY = 768  # signatures that say ": Any": a class or a protocol says more
+MOST_CONSTANTS = 223  # numbers with a name: a reader has to carry each from file to file
 
 
 def module_of(file: Path) -> str:
@@ -261,16 +270,12 @@ def sizes_of(kind):
     return sorted(sizes, key=lambda one: one[0], reverse=True)
 
 
-def test_a_large_class_has_a_reason():
-    """The docstring of each class of more than 150 lines of code says why it is one class."""
-    for size, node in sizes_of(ast.ClassDef):
-        reason = "It is one class because" in (ast.get_docstring(node) or "")
-        assert reason or size <= LARGE, (node.name, size)
-
-
 def test_large_classes_and_functions_do_not_become_more():
-    """No further class exceeds 150 lines of code; each function of more than 50 has a reason in the table."""
-    assert sum(size > LARGE for size, _ in sizes_of(ast.ClassDef)) <= MOST_LARGE_CLASSES
+    """Each class of more than 150 lines of code is listed, its docstring has a reason; long functions have reasons."""
+    large = {node.name: node for size, node in sizes_of(ast.ClassDef) if size > LARGE}
+    assert large.keys() - LARGE_CLASSES == set()
+    reason = "It is one class because"
+    assert [name for name in large if reason not in (ast.get_docstring(large[name]) or "")] == []
     long = {node.name for size, node in sizes_of(ast.FunctionDef) if size > LONG}
     assert long - REASONS.keys() == set()
 

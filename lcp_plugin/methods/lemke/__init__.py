@@ -34,10 +34,11 @@ class Lemke(Algorithm):
     ----------
     max_pivots : int, optional
         Pivots of one path; 10 (n + 10) by default and, once every start was tried, 100 (n + 10) for the paths cut off.
+        `auto` sets few for its first attempt.
     restarts : int, optional
         Arbitrary starts after the principled ones: every label of a bimatrix game (Lemke–Howson), r = 1 and
         r = |q| of the equilibrated problem; 20 000/n by default, but 10 to 600. An
-        arbitrary start lies inside a random active set.
+        arbitrary start lies inside a random active set. `auto` sets 0 before other methods, Newton's steps set 2.
 
     Notes
     -----

@@ -15,6 +15,7 @@ from ..proofs.verdicts import MatrixReport, wrapped
 
 CONVEXITY = "is_symmetric", "is_positive_semidefinite", "is_positive_definite", "is_p_matrix"
 HEADING = 'algorithm="auto", each stage if the stages before it do not solve the problem:'
+REFUSED = 'algorithm="auto" has no stage: solve raises an error, because the program is not convex'
 
 
 class PlannedStage(NamedTuple):
@@ -59,7 +60,8 @@ class ProblemReport(MatrixReport):
         of = getattr(self.problem, "program", self.problem)  # of a program with pairs
         lower, upper = getattr(of, "lower", ()), getattr(of, "upper", ())
         bounds = f"lower bounds: {np.isfinite(lower).sum()}, upper: {np.isfinite(upper).sum()}"
-        lines = [repr(self.problem), bounds, *[super().__str__()] * bool(self.n), HEADING]
+        lines = [repr(self.problem), bounds, *[super().__str__()] * bool(self.n)]
+        lines.append(HEADING if self.plan else REFUSED)
         for number, (name, because, until) in enumerate(self.plan, 1):
             reason = f"{because}; until {until}" if until else because
             lines += wrapped(f"{number:>3} {name:<20} ", reason)

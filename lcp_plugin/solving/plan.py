@@ -13,16 +13,16 @@ that guess the active set, active-set iterations and Lemke's path. Larger proble
 | psor | a factorization is predicted to be too large | |
 | the direct methods | | |
 
-So the projected-type iteration comes first: it converges for every H₊-matrix and costs no analysis of M. No rate of a
-few sweeps forecasts the rest if M is not symmetric: psor may take 10 sweeps, or thousands. So it is not left before its
-work equals the predicted work of the next stage, and both together cost about twice the better of the two, at most. The
-work of multigrid is predicted by n, the work of the direct methods by n and the nonzeros of M.
+So the projected-type iteration comes first: it converges for every H₊-matrix and costs no analysis of M. If M is not
+symmetric, the rate of a few sweeps does not forecast the rest: psor may take 10 sweeps, or thousands. So psor is not
+left before its work equals the predicted work of the next stage, and both together cost at most about twice the better
+of the two. The work of multigrid is predicted by n, the work of the direct methods by n and the nonzeros of M.
 
 On a large symmetric M there is a forecast. The first sweeps are the quickest: they smooth the error, and only then its
 slowest part shows. So after one sweep the free unknowns F are measured: Gauss–Seidel takes ln R/2λ sweeps to reduce the
 residual by a factor R, λ least with D⁻¹M_FF x = λx. On a cube of any dimension λ = π²h²/2, h = 1ᵀM_FF 1/1ᵀD_F 1, and λ
-is never below the least sum of a row of D⁻¹M_FF. The larger λ of the two counts, and never more than √R sweeps, because
-in the plane a localized residual falls as 1/k². If npsor needs s sweeps, psor is predicted to need 3 √s.
+is never below the least sum of a row of D⁻¹M_FF. The larger λ of the two counts. The forecast is at most √R sweeps,
+because in the plane a localized residual falls as 1/k². If npsor needs s sweeps, psor is predicted to need 3 √s.
 
 Decisions never depend on measured time, so that a repeated call gives the identical result.
 """
@@ -106,7 +106,7 @@ def _sweeping_stages(problem: LCP, goal: float) -> Iterator[Stage]:
     direct, cycles = _direct_passes(problem), _cycle_passes(problem)
     best = min(direct, cycles)
     is_forecast = cycles < math.inf and is_nearly_symmetric(problem.matrix)
-    least = 0.0 if is_forecast else best
+    fewest, least = 40, 0.0 if is_forecast else best  # iterations and work of psor
 
     def is_trial_over(stage: Stage) -> bool:
         if stage.iterations == 1 and is_forecast:  # squared: one sweep is a weak forecast
@@ -115,7 +115,7 @@ def _sweeping_stages(problem: LCP, goal: float) -> Iterator[Stage]:
         return stage.iterations >= 3 and not is_near
 
     def is_too_slow(stage: Stage) -> bool:
-        if stage.iterations < 40 or stage.iterations % ASKED_EVERY or stage.work < least:
+        if stage.iterations < fewest or stage.iterations % ASKED_EVERY or stage.work < least:
             return False
         return stage.work + stage.trend.steps_to_go(goal) > PATIENCE * best
 
@@ -125,7 +125,8 @@ def _sweeping_stages(problem: LCP, goal: float) -> Iterator[Stage]:
     if is_forecast and npsor.trend.residuals:
         sweeps = max(npsor.trend.steps_to_go(goal), fewest_sweeps(problem, npsor, goal))
     if 3.0 * math.sqrt(sweeps) <= best:
-        budget = Budget(f"{best:.0f} passes, if its rate needs many more", is_too_slow)
+        until = f"{max(fewest, least):.0f} passes, if its rate needs many more"
+        budget = Budget(until, is_too_slow)
         yield Stage(SWEEPING["psor"], ACCELERATED, budget)
     if cycles < math.inf:
         trial = 270.0  # passes: three times as many as are predicted on large grids

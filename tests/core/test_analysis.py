@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
+import scipy.sparse as sp
 
 from lcp_plugin import (
     LCP,
@@ -66,6 +67,18 @@ def test_a_plan_shows_the_budgets_of_its_stages():
 
 
 @pytest.mark.quick
+@pytest.mark.parametrize(("skew", "passes"), [(0.0, 40), (0.5, 265)])
+def test_the_budget_of_psor_is_the_work_before_which_it_is_not_left(skew, passes):
+    """With a forecast, of a symmetric M, psor may be left after 40 sweeps; else after the work of the next stage."""
+    ring = sp.csr_array(
+        sp.diags_array([-1.0 - skew, 3.0, -1.0], offsets=[-7, 0, 7], shape=(2000, 2000))
+    )
+    M = ring + sp.diags_array([-0.1, -0.1], offsets=[-900, 900], shape=(2000, 2000))
+    plan = {stage.name: stage for stage in analyze(LCP(M, np.ones(2000))).plan}
+    assert plan["psor"].until.startswith(f"{passes} passes")
+
+
+@pytest.mark.quick
 @pytest.mark.parametrize(("corner", "is_convex"), [(1.0, True), (0.0, True), (-1.0, False)])
 def test_convexity_of_a_program_is_proved_or_disproved(corner, is_convex):
     """P is semidefinite exactly if its diagonal is; of a program that is not convex no stage runs."""
@@ -73,6 +86,7 @@ def test_convexity_of_a_program_is_proved_or_disproved(corner, is_convex):
     assert report.is_positive_semidefinite is is_convex
     assert report.verdict("is_positive_semidefinite").evidence
     assert bool(report.plan) is is_convex
+    assert ("solve raises an error" in str(report)) is not is_convex
 
 
 @pytest.mark.quick

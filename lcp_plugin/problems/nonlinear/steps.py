@@ -117,7 +117,7 @@ def lcp_step(
     reference, and of several solutions a solution near x results.
     """
     if linear == "auto" and is_dense(point):
-        if shift not in point.lcp_steps:  # points of `JosephyNewton.full_steps` know some
+        if shift not in point.lcp_steps:  # each search begins at the same start
             M, w, lower, upper = step_data(point, shift)
             step = small_step(M, w, lower, upper, (1.0 + shift) * point.scale)
             point.lcp_steps[shift] = step

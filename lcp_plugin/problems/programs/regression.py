@@ -47,24 +47,24 @@ def regression_of(program: QuadraticProgram) -> tuple[BoundedLeastSquares, Outwa
     in_A, in_G = (np.bincount(matrix.indices, minlength=n) for matrix in (A, G))
     is_residual = (d > 0.0) & (in_A == 1) & (in_G == 0) & (c == 0.0) & is_free
     is_size = (d == 0.0) & (in_A == 0) & (in_G == 2) & (c > 0.0) & is_free
-    columns = np.flatnonzero(~(is_residual | is_size))
-    of_residuals, at = np.flatnonzero(is_residual[A.indices]), np.flatnonzero(is_size[G.indices])
-    if (
-        not columns.size
-        or (not at.size and program.matrices.is_small)  # daqp is as quick
-        or np.count_nonzero(d) < of_P
-        or not np.array_equal(row_numbers(A)[of_residuals], np.arange(p))
-        or A.nnz - p < 0.3 * p * columns.size
-        or min(p, columns.size) > FULL_UP_TO
-        or c[columns].any()
-        or np.ptp(d[columns]) > 0.0
-        or program.h.any()
-        or (np.diff(G.indptr) != 2).any()
-        or not np.array_equal(at // 2, np.arange(program.h.size))
-    ):
+    is_other, of_residuals = ~(is_residual | is_size), is_residual[A.indices]
+    columns = np.flatnonzero(is_other)
+    if not columns.size or (not is_size.any() and program.matrices.is_small):  # daqp is as quick
         return None
-    # Rows of G: t, x and their coefficients; the other entry of a row is next to t
-    t, x, g, k = G.indices[at], G.indices[at ^ 1], G.data[at ^ 1], -G.data[at]
+    is_full = A.nnz - p >= 0.3 * p * columns.size and min(p, columns.size) <= FULL_UP_TO
+    has_even_ridge = not c[columns].any() and np.ptp(d[columns]) == 0.0
+    is_residual_form = np.array_equal(row_numbers(A)[of_residuals], np.arange(p))
+    is_diagonal = np.count_nonzero(d) == of_P
+    if not (is_diagonal and is_residual_form and is_full and has_even_ridge):
+        return None
+    if program.h.any() or (np.diff(G.indptr) != 2).any():
+        return None
+    # The two entries of each row of G: −k t and g x
+    unknowns, entries = G.indices.reshape(-1, 2), G.data.reshape(-1, 2)
+    is_t = is_size[unknowns]
+    if (is_t[:, 0] == is_t[:, 1]).any():
+        return None
+    t, x, g, k = unknowns[is_t], unknowns[~is_t], entries[~is_t], -entries[is_t]
     first, second = np.argsort(t, kind="stable").reshape(-1, 2).T  # the rows of each t
     are_pairs = (x[first] == x[second]) & (g[first] == -g[second]) & (k[first] == k[second])
     if not are_pairs.all() or (k <= 0.0).any() or (in_G[x] != 2).any():
@@ -74,9 +74,8 @@ def regression_of(program: QuadraticProgram) -> tuple[BoundedLeastSquares, Outwa
     weights = d[residuals] / scales**2
     is_even = bool(np.ptp(weights) == 0.0)
     unit = weights[0] if is_even else 1.0
-    place, rows = np.cumsum(~(is_residual | is_size)) - 1, np.zeros((p, columns.size))
-    inner = ~is_residual[A.indices]
-    rows[row_numbers(A)[inner], place[A.indices[inner]]] = A.data[inner]
+    place, rows = np.cumsum(is_other) - 1, np.zeros((p, columns.size))
+    rows[row_numbers(A)[~of_residuals], place[A.indices[~of_residuals]]] = A.data[~of_residuals]
     # Below, residuals and hence multipliers are differences of rounded numbers
     if l1.any() and l1.max() < 1e-6 * unit * max_norm(rows.T @ b):
         return None

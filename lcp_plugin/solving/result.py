@@ -30,13 +30,14 @@ UNPROVEN = Status.STALLED, Status.DIVERGED, Status.MAX_ITERATIONS
 
 
 class StageRecord(NamedTuple):
-    """Algorithm of a run: name, reason of its choice, iterations, work in passes over M, remark for advice."""
+    """Algorithm of a run: name, reason, iterations, work in passes over M, remark for advice, why it failed."""
 
     name: str
     because: str
     iterations: int
     work: float
     remark: str = ""
+    ending: str = ""
 
 
 def name_of_run(stages: Sequence[StageRecord], chosen: Algorithm | None) -> str:
@@ -217,6 +218,7 @@ class BaseResult(MadeOnAccess, Outcome):
         course += [
             f"  {stage.name}, {format_count(stage.iterations, 'iteration')}"
             + (f", {stage.work / total:.0%} of the work" if stage.work else "")
+            + (stage.ending and f", {stage.ending}")
             + (stage.because and f": {stage.because}")
             for stage in (stages if len(stages) > 1 else ())
         ]

@@ -29,7 +29,7 @@ PROGRESS = (
     0.99  # a residual that has not fallen below this share of an earlier residual has not fallen
 )
 FAILED = (Status.STALLED, Status.DIVERGED)  # another algorithm may do better
-SPENT, NO_STEP = "budget spent", "no further step"  # endings of a stage
+SPENT, NO_STEP = "budget spent", "steps ended"  # endings of a stage
 # the status of a point that does not pass
 CUT_SHORT = (*LIMITS, Status.INTERRUPTED, Status.DIVERGED)
 
@@ -176,7 +176,7 @@ class Stage:
     remark : str
         A clause for the advice.
     ending : str
-        SPENT or NO_STEP, if one of them ended it.
+        Why it failed: SPENT, NO_STEP or "no progress".
     """
 
     algorithm: Any
@@ -311,7 +311,7 @@ class Progress:
             first = len(records)
             records += [StageRecord(name, "", steps, work) for name, steps, work in parts]
             records[first] = records[first]._replace(because=stage.because)
-            records[-1] = records[-1]._replace(remark=stage.remark)
+            records[-1] = records[-1]._replace(remark=stage.remark, ending=stage.ending)
         return tuple(records)
 
 
@@ -465,6 +465,7 @@ class Run:
             progress.stages.append(stage)
         for step in self.steps_of(stage):
             if (end := self._take(stage, step)) is not None:
+                stage.ending = "no progress" if end is Status.STALLED else ""
                 break
             if stage.budget.is_over(stage):
                 stage.ending = SPENT
@@ -474,7 +475,9 @@ class Run:
             stage.ending, end = NO_STEP, Status.STALLED
             if progress.clock.elapsed >= self.settings.max_seconds:
                 end = progress.end = Status.MAX_SECONDS
-        return self.end_of_stage(stage, end)
+        end = self.end_of_stage(stage, end)
+        stage.ending *= end in FAILED
+        return end
 
     def _take(self, stage: Stage, step: Any) -> Status | None:
         """Count, measure and report one step; return why the stage ends with it, or None."""

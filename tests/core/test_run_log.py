@@ -73,3 +73,15 @@ def test_a_terminal_without_unicode_ends_no_run(monkeypatch):
         == "LCP(n=1, nonzeros=1, bounds 0 ? z); M dense, symmetric, diagonal, a Z-matrix, "
         "with positive diagonal\n"
     )
+
+
+def test_explain_says_why_a_stage_failed():
+    """A spent budget, a residual that no longer falls, a method without a further step; none if it solves."""
+    result = solve(scene())
+    assert [stage.ending for stage in result.stages] == ["budget spent", ""]
+    assert re.search(r"\n  npsor, 3 iterations, \d+% of the work, budget spent: ", result.explain())
+    stalled = solve(LCP([[1, 4, 0], [0, 1, 4], [4, 0, 1]], [-1, -1, -1]), "psor")
+    assert [stage.ending for stage in stalled.stages] == ["no progress"]
+    infeasible = solve(LCP([[-1, 0], [0, -1]], [-1, -1]))
+    assert infeasible.stages[0].ending == "steps ended"
+    assert infeasible.stages[-1].ending == ""

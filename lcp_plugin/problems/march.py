@@ -414,7 +414,9 @@ def march(
     >>> march([rod, held], [[-1, 0], [-1, 0]], z0=[1, 1]).z.round(3)
     array([[0.875, 0.625],
            [0.825, 0.6  ]])
+
     ẋ = −x³ in steps of ½, for x ≥ 0.6:
+
 
     >>> steps = march(NonlinearProblem(lambda x: x + 0.5 * x**3, lower=0.6), np.zeros((3, 1)), z0=[1.0])
     >>> steps.z.ravel().round(4)

@@ -417,7 +417,6 @@ def march(
 
     ẋ = −x³ in steps of ½, for x ≥ 0.6:
 
-
     >>> steps = march(NonlinearProblem(lambda x: x + 0.5 * x**3, lower=0.6), np.zeros((3, 1)), z0=[1.0])
     >>> steps.z.ravel().round(4)
     array([0.7709, 0.6399, 0.6   ])

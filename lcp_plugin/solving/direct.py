@@ -32,6 +32,7 @@ from typing import Any
 import numpy as np
 
 from ..core.kernels.floats import EPSILON
+from ..core.deadline import OutOfTimeError
 from ..core.lcp import LCP
 from ..core.structure import is_nearly_symmetric
 from ..core.sweep_data import has_positive_diagonal
@@ -208,4 +209,7 @@ def _seems_monotone(problem: LCP) -> bool:
     rows = np.flatnonzero((twice != 0.0).sum(axis=1))  # the magnitudes may overflow
     if rows.size > 20_000:  # a factorization for this question alone takes too long
         return False
-    return not rows.size or is_semidefinite_to_rounding(twice[rows][:, rows]) is True
+    try:
+        return not rows.size or is_semidefinite_to_rounding(twice[rows][:, rows]) is True
+    except OutOfTimeError:  # the question alone; a factor of the free unknowns may fit
+        return False

@@ -476,7 +476,8 @@ class Run:
             if progress.clock.elapsed >= self.settings.max_seconds:
                 end = progress.end = Status.MAX_SECONDS
         end = self.end_of_stage(stage, end)
-        stage.ending *= end in FAILED
+        if end not in FAILED:
+            stage.ending = ""
         return end
 
     def _take(self, stage: Stage, step: Any) -> Status | None:

@@ -90,6 +90,20 @@ def test_convexity_of_a_program_is_proved_or_disproved(corner, is_convex):
 
 
 @pytest.mark.quick
+@pytest.mark.parametrize("curvature", [1.0, -1.0])
+def test_the_plan_of_a_program_with_pairs_begins_as_solve_does(curvature):
+    """Branch and bound proves the bound of a convex objective; of another one only SCIP gives a bound."""
+    pytest.importorskip("pyscipopt")
+    program = QuadraticProgram(
+        curvature * np.eye(2), [1.0, 2.0], A=[[1.0, 1.0]], b=[1.0], lower=0.0
+    )
+    problem = EquilibriumProgram(program, [0], [1])
+    plan = analyze(problem).plan
+    assert plan[0].name == solve(problem).algorithm.split(", ")[0]
+    assert all(stage.because and stage.until != "0 nodes" for stage in plan)
+
+
+@pytest.mark.quick
 def test_a_nonlinear_problem_is_analyzed_at_one_point():
     """F is called once, and once for each of its differences."""
     calls = []

@@ -14,6 +14,7 @@ from scipy.sparse.linalg import splu
 from lcp_plugin import LCP, EquilibriumProgram, QuadraticProgram, Status, gallery, solve
 from lcp_plugin.core import deadline
 from lcp_plugin.core.deadline import OutOfTimeError, enforced_seconds_left, is_over, time_limit
+from lcp_plugin.solving.direct import direct_methods
 from lcp_plugin.systems import factors
 from lcp_plugin.systems.hierarchy.levels import build_hierarchy
 
@@ -55,6 +56,16 @@ def test_no_factorization_starts_that_would_end_after_the_limit(factorize):
         assert factorize(M) is not None
     with time_limit(1000.0, is_enforced=True):
         assert factorize(M) is not None
+
+
+def test_a_question_of_the_plan_that_does_not_fit_leaves_the_methods():
+    """Whether M is semidefinite is asked for the order alone: if its factor would end too late, newton still comes."""
+    random, n = np.random.default_rng(0), 300
+    B = sp.random_array((n, n), density=0.01, rng=random, format="csr")
+    M = sp.csr_array(B @ B.T + 0.1 * sp.eye_array(n) + 0.3 * (B - B.T))
+    with time_limit(1e-6, is_enforced=True):
+        names = [stage.algorithm.name for stage in direct_methods(LCP(M, np.ones(n)), 1e-8)]
+    assert "newton" in names
 
 
 def test_no_hierarchy_is_built_after_the_limit():

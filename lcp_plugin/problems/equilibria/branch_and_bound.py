@@ -135,10 +135,20 @@ def _refuse_proof(problem: EquilibriumProgram) -> None:
 
 def planned(problem: EquilibriumProgram) -> tuple[str, Any, list[Stage]]:
     """Return the matrix and the stages of a program with pairs for `analyze`."""
-    most = 300 // max(1, problem.pairs) if problem.is_provable else 0
-    until = "" if minimize_or_none() is None else f"{most} nodes; SCIP follows, then more nodes"
-    because = "each node bounds several pieces, with a proof of its bound"
-    return "P", problem.program.P, [Stage(Named("branch and bound"), because, Budget(until))]
+    own, has_scip = Named("branch and bound"), minimize_or_none() is not None
+    budget = Budget(f"{_nodes_before_scip(problem)} nodes" if has_scip else "")
+    stages = [Stage(own, "each node bounds several pieces, with a proof of its bound", budget)]
+    if not problem.is_provable:
+        stages = [] if has_scip else [Stage(own, "some pieces alone: SCIP is not installed")]
+    if has_scip:
+        because = "a bound in floating point, also of objectives that are not convex"
+        stages.append(Stage(Named("SCIP"), because))
+    return "P", problem.program.P, stages
+
+
+def _nodes_before_scip(problem: EquilibriumProgram) -> int:
+    """Return the nodes of the search here, before SCIP: 9 nodes close 30 pairs that take SCIP 5 s."""
+    return 300 // max(1, problem.pairs)
 
 
 class BranchAndBound:
@@ -217,8 +227,7 @@ class BranchAndBound:
     def _run(self, ends: Callable[[], bool], prove: bool) -> Status | None:
         engine, is_provable = minimize_or_none(), self.problem.is_provable
         if is_provable:
-            # Nodes before SCIP: 9 nodes close 30 pairs that take SCIP 5 s
-            most = math.inf if engine is None else 300 // max(1, self.problem.pairs)
+            most = math.inf if engine is None else _nodes_before_scip(self.problem)
             ended = self._search(ends, most)
             is_done = self.descent is not None or (self._next() is None and not self._is_stuck)
             if ended is not None or is_done:

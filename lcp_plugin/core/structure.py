@@ -44,20 +44,29 @@ def connected_components(matrix: Matrix) -> IntVector | None:
     # Rows are connected if each but the first has an entry left of its diagonal, in a dense M also an entry above it.
     if n < 2 or (matrix.is_dense and M[0].all()):
         return None
-    if matrix.is_dense and n <= 64:  # rows up to which products are quicker than scipy's search
-        labels = components_of_links((M != 0.0) | (M.T != 0.0))
-        return read_only(labels) if labels.any() else None
     if matrix.is_dense:
-        is_filled = np.tril((M != 0.0) | (M.T != 0.0), -1).any(axis=1)[1:].all()
-    else:
-        starts, first = M.indptr, np.arange(1, n, dtype=M.indices.dtype)
-        is_filled = (starts[2:] > starts[1:-1]).all() and (M.indices[starts[1:-1]] < first).all()
-    if is_filled:
+        return components_of_dense(M)
+    starts, first = M.indptr, np.arange(1, n, dtype=M.indices.dtype)
+    if (starts[2:] > starts[1:-1]).all() and (M.indices[starts[1:-1]] < first).all():
         return None
     from scipy.sparse.csgraph import connected_components as labeled
 
     count, labels = labeled(matrix.csr, directed=False)
     return read_only(labels.astype(np.int64)) if count > 1 else None
+
+
+def components_of_dense(M: Vector) -> IntVector | None:
+    """Return the number of each row's component in an array; None if M is connected."""
+    links = (M != 0.0) | (M.T != 0.0)
+    if len(M) <= 64:  # rows up to which products are quicker than scipy's search
+        labels = components_of_links(links)
+    elif np.tril(links, -1).any(axis=1)[1:].all():
+        return None
+    else:
+        from scipy.sparse.csgraph import connected_components as labeled
+
+        labels = labeled(links, directed=False)[1].astype(np.int64)
+    return read_only(labels) if labels.any() else None
 
 
 def components_of_links(links: BoolVector) -> IntVector:

@@ -31,8 +31,8 @@ from typing import Any
 
 import numpy as np
 
-from ..core.kernels.floats import EPSILON
 from ..core.deadline import OutOfTimeError
+from ..core.kernels.floats import EPSILON
 from ..core.lcp import LCP
 from ..core.structure import is_nearly_symmetric
 from ..core.sweep_data import has_positive_diagonal

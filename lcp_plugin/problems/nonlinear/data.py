@@ -57,7 +57,7 @@ from ...core.names import checked_names
 from ...core.problem import Problem
 from ...core.problem_classes import Door
 from ...core.settings import Settings
-from ...core.structure import connected_components
+from ...core.structure import components_of_dense, connected_components
 from ...core.tuning import CHEAP_UP_TO
 from ...judges.certificate import PRECISE, Certificate
 from ...judges.lcp import Measured, RowData, RowsAtPoint
@@ -499,7 +499,9 @@ def components_of_pattern(problem: NonlinearProblem, M: AnyMatrix) -> Any:
     else:
         key = M.indptr.tobytes() + M.indices.tobytes()
     if key != problem._components[0][0]:
-        problem._components[0] = key, connected_components(Matrix(M))
+        is_dense = isinstance(M, np.ndarray)
+        labels = components_of_dense(M) if is_dense else connected_components(Matrix(M))
+        problem._components[0] = key, labels
     return problem._components[0][1]
 
 

@@ -211,5 +211,5 @@ def _seems_monotone(problem: LCP) -> bool:
         return False
     try:
         return not rows.size or is_semidefinite_to_rounding(twice[rows][:, rows]) is True
-    except OutOfTimeError:  # the question alone; a factor of the free unknowns may fit
+    except OutOfTimeError:  # a factor of fewer rows, the free ones, may fit
         return False

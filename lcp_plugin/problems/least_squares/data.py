@@ -387,7 +387,6 @@ def _checked_matrix(A: AnyMatrix) -> Any:
 Ball = tuple[Vector, Vector]
 """Values and radii: the exact values lie within."""
 
-# more than the rounding of a sum of 2²⁰ terms of one sign, or of a few operations
 NO_ROWS = np.empty(0)
 
 

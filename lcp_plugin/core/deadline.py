@@ -8,9 +8,8 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 from contextvars import ContextVar
 
-SEARCH_SECONDS = (
-    60.0  # of a search that has no limit of its own: a smallest conflict, an agent's best value
-)
+# of a search that has no limit of its own: a smallest conflict, an agent's best value
+SEARCH_SECONDS = 60.0
 # Until when, on the clock that compilation stops, and whether that is enforced.
 _limit: ContextVar[tuple[float, bool]] = ContextVar("limit", default=(math.inf, False))
 

@@ -25,9 +25,8 @@ from .result import NOTHING_TO_DO, Callback, Result, Sample, StageRecord
 
 FIRST_CHECK = 10  # iteration of the first residual that the method does not report
 FIRST_FLOOR_CHECK = 25  # iterations without a fall
-PROGRESS = (
-    0.99  # a residual that has not fallen below this share of an earlier residual has not fallen
-)
+# a residual that has not fallen below this share of an earlier residual has not fallen
+PROGRESS = 0.99
 FAILED = (Status.STALLED, Status.DIVERGED)  # another algorithm may do better
 SPENT, NO_STEP = "budget spent", "steps ended"  # endings of a stage
 # the status of a point that does not pass

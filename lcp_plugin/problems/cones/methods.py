@@ -25,10 +25,8 @@ STOP = 1e-2  # of the goal: smaller changes end the sweeps
 STANDSTILL, SLOW = 100, 0.2  # steps of sweeps without a gain, and their share of all
 NEWTON_STEPS = 300  # of one call
 PATH_STEPS, NO_GAIN = 40, 8  # of the central path, and steps without a new best
-NEAR_END, NEARER = (
-    1e-3,
-    1e-2,
-)  # residual below which Newton's steps are tried, and its later reduction
+# residual below which Newton's steps are tried, and its later reduction
+NEAR_END, NEARER = 1e-3, 1e-2
 PROGRAMS, PROGRAM_WORK = 5, 20.0  # convex programs without a gain, and the work of one
 # times the mean of |z_i|, or of the references, by which starts are moved at random
 SPREADS = 1.0, 8.0

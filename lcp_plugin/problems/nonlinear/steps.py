@@ -45,9 +45,8 @@ HALVINGS = tuple(0.5**k for k in range(30))  # step lengths of Newton steps
 PROXIMAL_SHIFTS = 1e-3, 1e-1, 10.0  # of the residual scale: proximal steps
 DAMPINGS, DAMPED = (1e-6, 1e-3, 0.1, 10.0, 1e3), (1.0, 0.3, 0.1, 0.03)  # Levenberg–Marquardt
 FORCING = 0.01  # of the residual at x: tolerance of a linearization far from a solution
-FLAT = (
-    2.0**-20
-)  # of the largest row: F′ may vanish with x, as of a power at 0, and so the unit of its rows
+# of the largest row: F′ may vanish with x, as of a power at 0, and so the unit of its rows
+FLAT = 2.0**-20
 ACTIVE_SETS_UP_TO = 5000  # rows; beyond, LCP methods need fewer factorizations
 ACTIVE_SETS = 8  # linear solves before an LCP method
 

@@ -17,9 +17,8 @@ from .no_minimum import NoMinimum
 from .program import QuadraticProgram
 from .solution import MULTIPLIERS, QPSolution, worst_constraints
 
-FAR_APART = (
-    1e8  # ratio of coefficients, above which a sum loses half of the digits of its small terms
-)
+# ratio of coefficients, above which a sum loses half of the digits of its small terms
+FAR_APART = 1e8
 ADVICE = {
     Status.SOLVED: "x is optimal within the tolerance, as measured on your data",
     Status.PRECISION_LIMIT: "the residuals are small, but not within the tolerance",

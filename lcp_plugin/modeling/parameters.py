@@ -479,8 +479,8 @@ def trace_model(
     UnsupportedModel
         If a matrix depends on the parameter, or a vector depends on it not affinely.
     """
-    lines = parameter_lines(problem, along)
     stated = _pairs if is_complementarity_problem(problem) else _compiled_program
+    lines = parameter_lines(problem, along)
     other = stop if stop != start else start + 1.0
     # A test point that no simple fraction hits
     values = (start, other, start + 0.3819660112501051 * (other - start))

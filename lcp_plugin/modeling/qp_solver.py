@@ -306,8 +306,6 @@ def certify_problem(problem: cp.Problem, tolerance: float) -> Certification:
 
 def _check_solved(problem: cp.Problem) -> None:
     """Raise an error unless this is a solved problem that QPSolver could take."""
-    if not isinstance(problem, cp.Problem):
-        raise InvalidProblem(f"certify needs a cvxpy.Problem, got {type(problem).__name__}")
     if not problem.is_dcp():
         raise UnsupportedModel(
             "certify takes problems that follow cvxpy's rules of convexity; problem.is_dcp() must be True"

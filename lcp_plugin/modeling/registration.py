@@ -46,13 +46,19 @@ def is_complementarity_problem(problem: cp.Problem) -> bool:
     >>> is_complementarity_problem(cp.Problem(cp.Minimize(0)))
     False
     """
-    if not isinstance(problem, cp.Problem):
-        return False
+    _require_problem(problem)
     constraints, goal = problem.constraints, problem.objective.args[0]
     if any(isinstance(c, Condition) for c in constraints):
         return True
     are_equations = goal.is_constant() and all(isinstance(c, EQUATIONS) for c in constraints)
     return are_equations and not all(c.is_dcp() for c in constraints)
+
+
+def _require_problem(problem: object) -> None:
+    if not isinstance(problem, cp.Problem):
+        raise UnsupportedModel(
+            f"a cvxpy problem is needed, got {type(problem).__name__}; write cp.Problem(cp.Minimize(0), […])"
+        )
 
 
 def model_of_constraints(constraints: list[Any], memo: Memo | None = None) -> Model:
@@ -82,10 +88,7 @@ _memos: weakref.WeakKeyDictionary[Any, Memo] = weakref.WeakKeyDictionary()
 
 def build_from(problem: cp.Problem) -> Model:
     """Return the model of a cvxpy problem; parts that depend on no parameter are cached for the next call."""
-    if not isinstance(problem, cp.Problem):
-        raise UnsupportedModel(
-            f"a cvxpy problem is needed, got {type(problem).__name__}; write cp.Problem(cp.Minimize(0), […])"
-        )
+    _require_problem(problem)
     if not problem.objective.args[0].is_constant():
         raise UnsupportedModel(
             f"the objective {name_of(problem.objective.args[0])} with complementarity is not a single LCP: "

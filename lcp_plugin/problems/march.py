@@ -484,9 +484,8 @@ def _begin(
 def _check_count(name: str, values: Any, k: int) -> None:
     """Raise InvalidProblem unless a sequence has an entry per step."""
     if (count := len(values)) != k:
-        missing = f"step {count} has none" if count < k else f"step {k} does not exist"
         raise InvalidProblem(
-            f"{name} must have one entry per step, {k} as forcing has rows, got {count}: {missing}"
+            f"{name} must have one entry per step, {k} for {k} rows of forcing, got {count}"
         )
 
 

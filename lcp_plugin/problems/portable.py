@@ -73,7 +73,8 @@ def exact(result: Any) -> ExactSolution:
     -------
     ExactSolution
         ``z``, exact for the stored double-precision data; None with a ``reason`` if the result is not SOLVED, if the
-        system is singular or has more than 60 unknowns, or if no active set near the result has all signs exactly.
+        system is singular (at least modulo a prime), has long numbers or more than 60 unknowns, or if no active set
+        near the result has all signs exactly.
 
     Raises
     ------
@@ -106,7 +107,10 @@ def exact(result: Any) -> ExactSolution:
         rows, right = problem.csr[free], arithmetic.rational(-problem.q[free])
         found = arithmetic.solved_nearby(arithmetic.rational_rows(rows), right, x, free.tolist())
         if found is None:
-            return ExactSolution(problem, None, "the linear system of the active set is singular")
+            because = (
+                f"singular (perhaps only modulo {arithmetic.PRIME}), or its numbers are too long"
+            )
+            return ExactSolution(problem, None, f"the linear system of the active set is {because}")
         x = found
         if arithmetic.is_exact_solution(problem, x):
             return ExactSolution(problem, tuple(x))

@@ -62,9 +62,9 @@ from ..core.rounding import compensated_pair, compensated_product, gamma, lower_
 from ..core.structure import connected_components
 from ..core.tuning import CHEAP_UP_TO
 from ..judges.lcp import row_data, scaled_residual
-from ..systems.definiteness import is_semidefinite_to_rounding, semidefinite_margin
+from ..systems.definiteness import factor_rounding, is_semidefinite_to_rounding, semidefinite_margin
 from ..systems.equilibration import unit_diagonal
-from ..systems.factors import PositiveFactor, factor_fits, positive_factor
+from ..systems.factors import factor_fits, positive_factor
 from ..systems.free_systems import KRYLOV_GOAL, FreeSystem
 from ..systems.graph import block_rows, comparison_product
 from . import exact
@@ -463,26 +463,13 @@ def _proven_bound(even: Any) -> float | None:
         shifted = part - shift * identity
         factor = positive_factor(shifted)
         if factor is not None:
-            rounding = _rounding(shifted, factor) + 2.0 * UNIT * (part.diagonal().max() + shift)
+            rounding = factor_rounding(shifted, factor) + 2.0 * UNIT * (
+                part.diagonal().max() + shift
+            )
             value = (shift - rounding - entry_rounding) / OUTWARD
             if value > 0.0:
                 return float(value)
     return None
-
-
-def _rounding(matrix: AnyMatrix, factor: PositiveFactor) -> float:
-    """Return a bound of the distance of a factorized matrix from semidefinite ones: Cholesky's bound, or measured."""
-    n = matrix.shape[0]
-    if factor.superlu is None:
-        trace = float(np.sum(np.abs(matrix.diagonal()))) * OUTWARD
-        return float(1.01 * gamma(n + 3) * trace + n * n * UNDERFLOW)
-    # |A − L U| ≤ γ_k |L||U| for k terms a row, and U − D Lᵀ, rounding only, is measured; D = diag(U) > 0
-    superlu, ones = factor.superlu, np.ones(n)
-    L, U, product = abs(superlu.L), abs(superlu.U), superlu.L @ sp.diags_array(superlu.U.diagonal())
-    asymmetry = abs(superlu.U - product.T) + 2.0 * UNIT * (U + abs(product.T))
-    terms = int(max(np.diff(L.tocsr().indptr).max(), np.diff(U.tocsc().indptr).max())) + 2
-    by_row = gamma(terms) * (L @ (U @ ones)) + L @ (asymmetry @ ones)
-    return float(float(by_row.max()) * OUTWARD + n * UNDERFLOW)
 
 
 NO_PROOF = (

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from itertools import groupby
 from pkgutil import resolve_name
 from typing import Any, NamedTuple
@@ -11,7 +12,7 @@ import scipy.sparse as sp
 
 from ..core.errors import InvalidProblem
 from ..core.problem_classes import CLASSES, class_of, refusal
-from ..proofs.verdicts import MatrixReport, wrapped
+from ..proofs.verdicts import MatrixReport, Verdict, wrapped
 
 CONVEXITY = "is_symmetric", "is_positive_semidefinite", "is_positive_definite", "is_p_matrix"
 HEADING = 'algorithm="auto", each stage if the stages before it do not solve the problem:'
@@ -55,6 +56,13 @@ class ProblemReport(MatrixReport):
             PlannedStage(one.algorithm.name, one.because, one.budget.until) for one in stages
         )
         self.plan = tuple(stage for stage, _ in groupby(planned))
+
+    def verdict(self, name: str) -> Verdict:
+        """Return (value, evidence) of a claim; the evidence has the name of the matrix."""
+        value, evidence = super().verdict(name)
+        return Verdict(
+            value, re.sub(r"\bM(?=[ᵀ[ ]|$)", self.symbol.partition(" ")[0] or "M", evidence)
+        )
 
     def __str__(self) -> str:
         of = getattr(self.problem, "program", self.problem)  # of a program with pairs

@@ -9,7 +9,8 @@ import scipy.sparse as sp
 
 from ..core.checks import AnyMatrix, Vector
 from ..core.entries import count_entries, max_norm, row_numbers, scale_by
-from ..core.kernels.floats import EPSILON
+from ..core.kernels.floats import EPSILON, OUTWARD, UNDERFLOW, UNIT
+from ..core.rounding import gamma
 from ..core.tuning import FULL_CHOLESKY_UP_TO
 from .factors import PositiveFactor, factor_fits, positive_factor, positive_triangle
 
@@ -67,7 +68,7 @@ def is_semidefinite_to_rounding(P: AnyMatrix) -> bool | None:
             return True
         if P[diagonal == 0.0].any():
             return False
-    shift = _margin(diagonal.size, diagonal.size)
+    shift = _margin(diagonal.size)
     if shift > LARGEST_SHIFT:
         return None
     unit = scaled_to(P, 1.0 / np.sqrt(np.where(diagonal == 0.0, 1.0, diagonal)))
@@ -84,9 +85,9 @@ def is_positive_definite(P: AnyMatrix) -> bool | None:
 
     Notes
     -----
-    True: the matrix scaled to a unit diagonal, less the margin, factorizes. False: plus the margin, it does not. The
-    margin n (k + 4) 2⁻⁵² is more than twice the backward error n γ_{k+1}, u = 2⁻⁵³; the rest covers the rounding of
-    the scaling and of P, which change the 2-norm by less than 4 n u.
+    True: the matrix scaled to a unit diagonal, less a shift, factorizes, and the shift is more than the bound of the
+    rounding error (measured if sparse) and 4 n u, u = 2⁻⁵³, for the rounding of the scaling and of P. False: plus
+    n (n + 4) 2⁻⁵², it does not factorize, with more than twice the backward error n γ_{n+1}.
 
     References
     ----------
@@ -107,11 +108,29 @@ def is_positive_definite(P: AnyMatrix) -> bool | None:
     n, unit = diagonal.size, scaled_to(P, 1.0 / np.sqrt(diagonal))
     factor = None if unit is None else factorized(unit, 0.0)
     if factor is not None:
-        return True if factorized(unit, -_margin(n, factor.terms)) is not None else None
-    shift = _margin(n, n)
+        shift = 2.0 * (factor_rounding(unit, factor) + 2.0 * n * EPSILON)
+        factor = factorized(unit, -shift)
+        is_proven = factor and factor_rounding(unit, factor) + 2.0 * n * EPSILON <= shift
+        return True if is_proven else None
+    shift = _margin(n)
     if unit is None or shift > LARGEST_SHIFT:
         return None
     return False if factorized(unit, shift) is None else None
+
+
+def factor_rounding(matrix: AnyMatrix, factor: PositiveFactor) -> float:
+    """Return a bound of the distance of a factorized matrix from semidefinite ones: Cholesky's bound, or measured."""
+    n = matrix.shape[0]
+    if factor.superlu is None:
+        trace = float(np.sum(np.abs(matrix.diagonal()))) * OUTWARD
+        return float(1.01 * gamma(n + 3) * trace + n * n * UNDERFLOW)
+    # |A − L U| ≤ γ_k |L||U| for k terms a row, and U − D Lᵀ, rounding only, is measured; D = diag(U) > 0
+    superlu, ones = factor.superlu, np.ones(n)
+    L, U, product = abs(superlu.L), abs(superlu.U), superlu.L @ sp.diags_array(superlu.U.diagonal())
+    asymmetry = abs(superlu.U - product.T) + 2.0 * UNIT * (U + abs(product.T))
+    terms = int(max(np.diff(L.tocsr().indptr).max(), np.diff(U.tocsc().indptr).max())) + 2
+    by_row = gamma(terms) * (L @ (U @ ones)) + L @ (asymmetry @ ones)
+    return float(float(by_row.max()) * OUTWARD + n * UNDERFLOW)
 
 
 def symmetric_part(M: AnyMatrix) -> Any:
@@ -135,7 +154,7 @@ def symmetric_part(M: AnyMatrix) -> Any:
 def semidefinite_margin(P: AnyMatrix) -> float:
     """Return δ of λ_min(P) ≥ −δ, which :func:`is_semidefinite_to_rounding` proves, in the unit of P."""
     diagonal: Vector = np.array(P.diagonal())
-    return 2.0 * _margin(diagonal.size, diagonal.size) * float(diagonal.max(initial=0.0))
+    return 2.0 * _margin(diagonal.size) * float(diagonal.max(initial=0.0))
 
 
 def is_diagonal(P: AnyMatrix) -> bool:
@@ -144,8 +163,8 @@ def is_diagonal(P: AnyMatrix) -> bool:
     return int(nonzeros) == np.count_nonzero(P.diagonal())
 
 
-def _margin(n: int, terms: int) -> float:
-    return n * (terms + 4) * EPSILON
+def _margin(n: int) -> float:
+    return n * (n + 4) * EPSILON
 
 
 def scaled_to(P: AnyMatrix, scale: Vector) -> Any:

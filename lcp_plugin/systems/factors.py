@@ -56,13 +56,9 @@ class Factor:
 
 @dataclass(frozen=True, eq=False)
 class PositiveFactor:
-    """Factorization with positive pivots; `terms` is the number of terms in its longest sum of products.
-
-    `superlu` holds L and U if the matrix is sparse, and is None if it is dense.
-    """
+    """Factorization with positive pivots; `superlu` holds L and U of a sparse matrix, None of a dense one."""
 
     solve: Callable[[Any], Any]
-    terms: int
     superlu: Any = None
 
 
@@ -248,12 +244,12 @@ def positive_factor(matrix: AnyMatrix) -> PositiveFactor | None:
     """
     if not sp.issparse(matrix):
         dense = cholesky(matrix)
-        return None if dense is None else PositiveFactor(dense.solve, matrix.shape[0])
+        return None if dense is None else PositiveFactor(dense.solve)
     factor = diagonal_pivot_factor(matrix)
     is_on_diagonal = factor is not None and np.array_equal(factor.perm_r, factor.perm_c)
     if not (is_on_diagonal and (factor.U.diagonal() > 0.0).all()):
         return None
-    return PositiveFactor(factor.solve, int(np.bincount(factor.L.indices).max()), factor)
+    return PositiveFactor(factor.solve, factor)
 
 
 def factor_fits(matrix: AnyMatrix) -> bool:

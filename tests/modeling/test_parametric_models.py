@@ -64,6 +64,7 @@ def test_infeasible_from_a_value_on():
 @refusals(r"""
 trace(least(p * cp.sum_squares(x) + cp.sum(x)), p, 1, 2) → UnsupportedModel: divide the objective by it
 trace(least(cp.sum_squares(x), p * x[0] + x[1] >= 1), p, 1, 2) → UnsupportedModel: enters the matrix
+trace(complements(x[0] >= 0, x[0] >= p), p, 1, 2) → UnsupportedModel: a cvxpy problem is needed, got Complements
 trace(plain, p, 1, 2) → InvalidOption: not a parameter of the problem
 trace(plain, v, 1, 2) → InvalidOption: has 2 entries
 trace(plain, {v: [1, 1]}, 1, 2) → InvalidOption: has no value

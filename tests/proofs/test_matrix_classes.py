@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 import contextlib
+from dataclasses import replace
 from fractions import Fraction
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -22,8 +24,9 @@ from lcp_plugin import (
 )
 from lcp_plugin.gallery.problems import five_point_matrix
 from lcp_plugin.proofs import verdicts
-from lcp_plugin.systems.definiteness import symmetric_part
-from lcp_plugin.systems.factors import factor_fits
+from lcp_plugin.systems import definiteness
+from lcp_plugin.systems.definiteness import is_positive_definite, symmetric_part
+from lcp_plugin.systems.factors import factor_fits, positive_factor
 
 
 def with_radius(rng: np.random.Generator, n: int, radius: float) -> np.ndarray:
@@ -79,6 +82,22 @@ def test_both_sides_of_singular(n, distance):
             report = analyze(matrix)
             assert report.is_h_matrix == (sign < 0)
             assert (report.v is not None) == (sign < 0)
+
+
+def test_definite_is_proved_only_by_a_factor_whose_asymmetry_is_measured(monkeypatch):
+    """Of a sparse factorization with U ≠ D Lᵀ by more than the smallest eigenvalue, nothing is concluded."""
+    matrix = five_point_matrix(30, 4.0)
+    assert is_positive_definite(matrix) is True
+
+    def skewed(part):
+        if (factor := positive_factor(part)) is None:
+            return None
+        U = factor.superlu.U.copy()
+        U.data[-2] += 0.5
+        return replace(factor, superlu=SimpleNamespace(L=factor.superlu.L, U=U))
+
+    monkeypatch.setattr(definiteness, "positive_factor", skewed)
+    assert is_positive_definite(matrix) is None
 
 
 def test_laplacian_is_certified_through_a_solve():

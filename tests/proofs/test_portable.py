@@ -220,6 +220,7 @@ def test_an_exact_solution_of_doubles_has_hundreds_of_digits():
             lambda: solve(LCP([[1, 1], [1, 1]], [-0.1, -0.1 - 2**-55], lower=-np.inf)),
             "singular",
         ),
+        (lambda: solve(LCP([[33554393.0]], [-1.0])), "singular .perhaps only modulo 33554393"),
     ],
 )
 def test_a_solution_that_is_not_exact_has_a_reason(result, reason, tmp_path):

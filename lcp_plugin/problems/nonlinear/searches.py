@@ -68,6 +68,7 @@ class JosephyNewton(Algorithm):
         self.searches, self.restarts = searches, restarts
         self.limit: Vector | float = np.inf  # of |x|: farther unknowns have grown without limit
         self.work, self.step_name, self.length = 1.0, "start", 0.0
+        self.restarted = 0  # times
         self.recent: deque[Linearization] = deque([start], 1)
 
     @cached_property
@@ -85,6 +86,7 @@ class JosephyNewton(Algorithm):
         restarts = range(self.restarts if self.first.x.size <= CHEAP_UP_TO else 0)
         others = filter(None, (self.other_start(k, random) for k in restarts))
         for k, start in enumerate(chain([self.first], others)):
+            self.restarted = k
             for search in self.searches:
                 if k > 0:
                     self.current, self.step_name, self.length = start, "restart", 0.0

@@ -183,9 +183,6 @@ def planned(problem: NonlinearProblem) -> tuple[str, Any, list[Stage]]:
 ADVICE = {
     Status.SOLVED: "the residual is within the tolerance, as measured on F",
     Status.PRECISION_LIMIT: "rounding in F, as estimated, explains the residual; next: accept z, or scale F",
-    Status.STALLED: (
-        "no step reduces the residual: z may be a local minimum of the residual; next: try another start x0"
-    ),
     Status.DIVERGED: "the residual left every reasonable range; next: try another start x0, or bounds near it",
     Status.MAX_ITERATIONS: "iteration limit reached; next: raise max_iterations, or continue from x0=result.z",
     Status.MAX_SECONDS: "time limit reached; next: raise max_seconds, or continue from x0=result.z",
@@ -195,6 +192,7 @@ ADVICE = {
 TANGENTS = (
     "each iteration replaces F by its tangent at x and solves the linear problem that this gives"
 )
+STUCK = "no step reduces the residual{}: z may be a local minimum of the residual; next: try another start x0"
 GROWING = "the unknowns grow without limit, and F tends to 0: has it a solution? next: try another start x0, or bounds"
 
 
@@ -262,7 +260,9 @@ class NonlinearRun(Run):
         is_limited = is_open and point.is_limited(self.settings)
         self.best = Measured(point, 0.0, passes, is_limited)
         status = self.status(end)
-        words = {**ADVICE, Status.STALLED: GROWING} if self._is_far(point) else ADVICE
+        starts = f" from any of {newton.restarted + 1} starts" if newton.restarted else ""
+        stalled = GROWING if self._is_far(point) else STUCK.format(starts)
+        words = {**ADVICE, Status.STALLED: stalled}
         named: dict[str, Any] = {"algorithm": newton.name, "_asked": newton, "_advice": words}
         named |= {"evaluations": Evaluations(*newton.first.problem.counts), "begun": begun}
         if status is Status.STALLED and (part := point.problem.affine_part) is not None:

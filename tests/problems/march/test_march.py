@@ -375,8 +375,9 @@ march(np.eye(3), [[0, 0, 0]])
     → InvalidOption: march needs an LCP, NonlinearProblem, ConeProblem or FrictionalContact, got ndarray
 march([still, LCP([[1]], [0])], np.zeros((2, 3))) → problem\[1\] must be an LCP, n = 3, got LCP with n = 1
 march([still, np.eye(3)], np.zeros((2, 3))) → problem\[1\] must be an LCP, n = 3, got ndarray
-march([still] * 2, np.zeros((3, 3))) → problem must have one entry per step, 3 .* step 2 has none
-march([still] * 4, np.zeros((3, 3))) → problem must have .* got 4: step 3 does not exist
+march([still] * 2, np.zeros((3, 3))) → problem must have one entry per step, 3 for 3 rows of forcing, got 2
+march([still], np.zeros((0, 3))) → problem must have one entry per step, 0 for 0 rows of forcing, got 1
+march([still] * 4, np.zeros((3, 3))) → problem must have .* got 4
 march([], [[0, 0, 0]]) → InvalidOption: march needs an LCP, .* got list
 march(still, [[0, 0, 0]], algorithm="psor", upper=1.0)
     → InvalidOption: no option 'upper': .* of the problem.* \[problem.with_data\(lower=row\) for row in rows\]

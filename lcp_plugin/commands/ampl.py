@@ -10,11 +10,11 @@ import platform
 import re
 import shlex
 import sys
-import time
 import warnings
 from typing import TYPE_CHECKING, Any
 
 from .. import __version__
+from ..core.deadline import Clock
 from ..core.errors import InvalidOption, LCPError, did_you_mean
 from ..core.settings import Settings, parse_options, whole_number
 
@@ -134,10 +134,10 @@ def _solve_stub(words: list[str], environment: str) -> int:
     from ..interfaces.nl.writing import write_sol
 
     content = read_content(stub)
-    start = time.perf_counter()
+    clock = Clock()
     message, x, y, code = _answer(content, settings)
     if levels["timing"]:
-        message += f"\n{time.perf_counter() - start:.3g} s"
+        message += f"\n{clock.read():.3g} s"
     write_sol(source_of(stub).with_suffix(".sol"), content, message, x, y, code)
     if not (is_ampl or levels["wantsol"] & 8):
         print(message)

@@ -62,23 +62,37 @@ def pause_for_compilation() -> Iterator[None]:
 class Clock:
     """The clock of a run, without pauses and without compilation.
 
-    Pauses count towards the time limit (`elapsed`). Compilation does not, also not in runs inside this run.
+    Pauses count towards the time limit. Compilation does not, also not in runs inside this run.
 
-    Attributes
+    Parameters
     ----------
-    elapsed : float
-        Seconds that count against the limit, up to the last reading.
+    limit : float
+        Seconds of the run; ∞ without a limit.
     """
 
-    def __init__(self) -> None:
-        self._compilation = compilation()  # of the thread that runs; others may read
+    def __init__(self, limit: float = math.inf) -> None:
+        self._limit, self._compilation = (
+            limit,
+            compilation(),
+        )  # of the thread that runs; others may read
         self._began = time.perf_counter() - self._compilation.seconds
-        self._paused = self.elapsed = 0.0
+        self._paused = self._elapsed = 0.0
 
     def read(self) -> float:
         """Return the seconds of the run up to now."""
-        self.elapsed = time.perf_counter() - self._compilation.seconds - self._began
-        return self.elapsed - self._paused
+        self._elapsed = time.perf_counter() - self._compilation.seconds - self._began
+        return self._elapsed - self._paused
+
+    @property
+    def left(self) -> float:
+        """Seconds to the limit, read now, at least 0."""
+        self.read()
+        return max(self._limit - self._elapsed, 0.0)
+
+    @property
+    def is_over(self) -> bool:
+        """Whether the limit had passed at the last reading."""
+        return self._elapsed >= self._limit
 
     @contextmanager
     def pause(self) -> Iterator[None]:
@@ -96,7 +110,7 @@ def _now() -> float:
 
 
 @contextmanager
-def time_limit(seconds: float, *, is_enforced: bool = False) -> Iterator[None]:
+def limit(seconds: float, *, is_enforced: bool = False) -> Iterator[None]:
     """Set a time limit for the work inside a ``with`` statement, in seconds from now; an earlier outer limit stays.
 
     If the limit is enforced, indivisible work that is predicted to end later raises OutOfTimeError before it begins.
@@ -109,21 +123,21 @@ def time_limit(seconds: float, *, is_enforced: bool = False) -> Iterator[None]:
         _limit.reset(token)
 
 
-def seconds_left() -> float:
+def left() -> float:
     """Return the seconds until the limit, at least 0.1; ∞ without a limit.
 
     Examples
     --------
-    >>> seconds_left()
+    >>> left()
     inf
-    >>> with time_limit(0.0):
-    ...     seconds_left()
+    >>> with limit(0.0):
+    ...     left()
     0.1
     """
     return max(_limit.get()[0] - _now(), 0.1)
 
 
-def enforced_seconds_left() -> float:
+def enforced_left() -> float:
     """Return the seconds until the limit, negative after it; ∞ without an enforced limit."""
     until, is_enforced = _limit.get()
     return until - _now() if is_enforced else math.inf
@@ -134,12 +148,12 @@ def require_seconds(predicted: float) -> None:
 
     Examples
     --------
-    >>> with time_limit(1.0, is_enforced=True):
+    >>> with limit(1.0, is_enforced=True):
     ...     require_seconds(60.0)
     Traceback (most recent call last):
     lcp_plugin.core.deadline.OutOfTimeError
     """
-    if predicted > enforced_seconds_left():
+    if predicted > enforced_left():
         raise OutOfTimeError
 
 

@@ -70,7 +70,7 @@ class Settings:
     max_iterations : int or None
         None means 100 000.
     max_seconds : float or None
-        Wall-clock seconds; None means unlimited.
+        Wall-clock seconds; None or ∞ means unlimited.
     absolute_tolerance : float
         ‖r(z)‖∞, in the unit of z, that is accepted without a reference; ≥ 0 and finite.
     record : bool
@@ -134,6 +134,10 @@ def _finite_number(value: Any, name: str) -> float:
     return float(value)
 
 
+def _seconds(value: Any, name: str) -> float:
+    return math.inf if is_number(value) and value == math.inf else _finite_number(value, name)
+
+
 def checked_tolerance(value: Any, name: str = "tolerance", *, may_be_zero: bool = True) -> float:
     """Return a relative tolerance in [0, 1), or in (0, 1).
 
@@ -178,7 +182,7 @@ def checked_threads(threads: int | None, name: str = "threads") -> int:
 CHECKS: dict[str, Callable[[Any, str], Any]] = {
     "tolerance": checked_tolerance,
     "max_iterations": partial(whole_number, least=0),
-    "max_seconds": _finite_number,
+    "max_seconds": _seconds,
     "absolute_tolerance": _finite_number,
     "record": flag,
     "threads": checked_threads,

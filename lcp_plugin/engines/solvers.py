@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-import time
 import warnings
 from typing import Any, ClassVar
 
@@ -11,6 +10,7 @@ import numpy as np
 import scipy.sparse as sp
 
 from ..core.checks import Array, Vector
+from ..core.deadline import Clock
 from .engine import Engine, EnginePoint, EngineStatus, ProgramData, SolverLimits
 from .linear_program import highs
 
@@ -142,10 +142,10 @@ class PIQP(Engine):
         solver.setup(columns, program.c, *equations, *rows, program.lower, program.upper)
         fit = math.inf
         if limits.seconds < math.inf:  # PIQP has no time limit: one step is timed
-            steps, begun = solver.settings.max_iter, time.perf_counter()
+            steps, clock = solver.settings.max_iter, Clock()
             solver.settings.max_iter = 1
             solver.solve()
-            fit = limits.seconds / (time.perf_counter() - begun) - 1.0
+            fit = limits.seconds / clock.read() - 1.0
             solver.settings.max_iter = int(min(fit, steps))
         code = int(solver.solve()) if fit >= 1.0 else -1
         result = solver.result

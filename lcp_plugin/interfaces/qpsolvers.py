@@ -6,13 +6,13 @@ lists ``available_solvers``, ``dense_solvers`` and ``sparse_solvers``, the objec
 
 from __future__ import annotations
 
-import time
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 from ..core import errors
 from ..core.checks import checked_bound, checked_vector, vector_option
+from ..core.deadline import Clock
 from ..core.settings import Status
 from ..problems.programs.program import QuadraticProgram
 from ..problems.programs.solving import solve_program
@@ -84,10 +84,10 @@ def solve_problem(
     """
     from qpsolvers import ParamError, ProblemError, Solution, SolverError
 
-    started = time.perf_counter()
+    clock = Clock()
     try:
         program = _program(problem)
-        built = time.perf_counter()
+        built = clock.read()
         start = None if initvals is None else vector_option(initvals, "initvals", program.n)
         # A start would cost steps in a program with rows
         guess = None if program.constraints.rows else start
@@ -102,7 +102,7 @@ def solve_problem(
         raise ProblemError(f"the program is {result.proof}; bound x where the objective falls")
     answer, solution = result.solution, Solution(problem)
     solution.extras = {"status": result.status, "result": result}
-    solution.build_time, solution.solve_time = built - started, time.perf_counter() - built
+    solution.build_time, solution.solve_time = built, clock.read() - built
     solution.found = result.is_solved
     if solution.found:
         is_bounded = problem.lb is not None or problem.ub is not None

@@ -10,9 +10,9 @@ from typing import Any, ClassVar, NamedTuple
 import numpy as np
 import scipy.sparse as sp
 
+from ..core import deadline
 from ..core.algorithm import Algorithm, Step
 from ..core.checks import Array, Vector
-from ..core.deadline import require_seconds, seconds_left
 from ..core.entries import largest_in_rows, max_norm, row_numbers, unbounded, with_entries
 from ..core.lcp import LCP
 from ..core.matrix import Matrix, fact
@@ -80,13 +80,13 @@ class InteriorPoint(Algorithm):
             operations = min(operations, sizes_of_factor(problem.matrix)[1])
             speed = SPARSE_OPERATIONS
         seconds = 20 * operations / speed  # of PIQP's factorizations
-        require_seconds(seconds)
+        deadline.require_seconds(seconds)
         program: Any = ZeroSumGame.of(problem)
         if program is None:
             program = MonotoneProgram.of(with_signed_equations(problem))
         # A second run is sharper: M is singular on many active sets.
         for options in ({}, {"eps_abs": 1e-13, "eps_rel": 1e-13}):
-            require_seconds(seconds)
+            deadline.require_seconds(seconds)
             z, steps = program.answer(engine(max_iter=PIQP_STEPS, **options))
             if not np.isfinite(z).all():
                 return
@@ -182,7 +182,7 @@ class MonotoneProgram:
         sizes = _size(program.c, program.h, program.b), _size(program.P, program.G, program.A)
         unit = power_of_two(sizes[0] / sizes[1]) if min(sizes) > 0.0 else 1.0
         prepared = with_sides_about_one(scale_program(program, np.full(program.c.size, unit)))
-        point = prepared.outward(engine.solve(prepared.statement, SolverLimits(seconds_left())))
+        point = prepared.outward(engine.solve(prepared.statement, SolverLimits(deadline.left())))
         z[self.unknowns] = point.x[: self.unknowns.size] * self.size
         if rows.size:
             lower, upper, y = problem.lower[rows], problem.upper[rows], np.empty(rows.size)
@@ -250,7 +250,7 @@ class ZeroSumGame(NamedTuple):
         equation = np.append(np.ones(m), 0.0)[np.newaxis], np.ones(1)
         bounds = np.append(np.zeros(m), -np.inf), np.full(m + 1, np.inf)
         statement = ProgramData(P, c, *inequalities, *equation, *bounds)
-        point = engine.solve(statement, SolverLimits(seconds_left()))
+        point = engine.solve(statement, SolverLimits(deadline.left()))
         x, y, z = np.maximum(point.x[:m], 0.0), np.maximum(point.y[:k], 0.0), np.empty(m + k)
         z[self.is_row], z[~self.is_row] = x / (x @ self.L @ y), y / (x @ self.K @ y)
         return z, point.iterations

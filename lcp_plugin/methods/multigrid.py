@@ -51,9 +51,9 @@ from typing import Any, ClassVar
 import numpy as np
 import scipy.sparse as sp
 
+from ..core import deadline
 from ..core.algorithm import Algorithm, Step, check_flag, require_positive_diagonal
 from ..core.checks import Vector, read_only
-from ..core.deadline import require_seconds
 from ..core.kernels.floats import EPSILON
 from ..core.lcp import LCP
 from ..core.matrix import Matrix, fact
@@ -183,7 +183,7 @@ def smooth_units(matrix: Matrix) -> tuple[Vector, Matrix] | None:
     none, grid = 0.0 * ones, grid_of(Operator(M.indptr, M.indices, M.data))
     sweeps, v = GridProblem(grid, none, none, ones * np.inf), ones.copy()
     for k in range(SMOOTHING_SWEEPS):
-        require_seconds(0.0)
+        deadline.require_seconds(0.0)
         sweeps.sweep(v, backward=k % 2 == 1, relaxation=RELAXED)
     v /= v.max()
     if not (v.min() > 1e-30 and rough_rows(v) <= ROUGH * rough):

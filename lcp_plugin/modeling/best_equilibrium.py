@@ -17,8 +17,8 @@ from cvxpy.constraints import NonNeg
 from cvxpy.error import SolverError
 from cvxpy.problems.problem import SolverStats
 
+from ..core import deadline
 from ..core.checks import Indices
-from ..core.deadline import SEARCH_SECONDS
 from ..core.errors import UnsupportedModel, warn
 from ..core.settings import Status
 from ..expressions.rows import Program
@@ -218,10 +218,10 @@ def _best_value(problem: cp.Problem) -> tuple[float, str]:
             for variable, value in before:
                 variable.save_value(value)
     if is_quadratic:
-        result: Any = solve(program.program, max_seconds=SEARCH_SECONDS)
+        result: Any = solve(program.program, max_seconds=deadline.SEARCH_SECONDS)
         value = result.objective
     else:
-        result = solve(program, max_seconds=SEARCH_SECONDS)
+        result = solve(program, max_seconds=deadline.SEARCH_SECONDS)
         value = result.value
         if result.status is Status.STALLED and np.isfinite(result.lower_bound):
             return result.lower_bound, ""  # the gain is not larger

@@ -243,9 +243,9 @@ class March(AnswerSequence[Result]):
         self.taken += 1
 
 
-def take_steps_on_band(done: March, algorithm: Any, options: dict[str, Any], limit: float) -> None:
+def take_steps_on_band(done: March, algorithm: Any, options: dict[str, Any], clock: Clock) -> None:
     """Take the steps of a march on a narrow band, until a time limit or an unsolved step."""
-    problem, clock = done.problem, Clock()
+    problem = done.problem
     if not isinstance(problem, LCP) or not problem.n or done.has_own_matrices:
         return
     method, settings = parse_call(algorithm, options)
@@ -258,7 +258,7 @@ def take_steps_on_band(done: March, algorithm: Any, options: dict[str, Any], lim
     if band is None:
         return
     steps, state = BandSteps(done, band, settings), done.z0
-    while done.taken < len(done.forcing) and clock.read() < limit:
+    while done.taken < len(done.forcing) and clock.left:
         block = slice(done.taken, min(done.taken + STEPS_TOGETHER, len(done.forcing)))
         solved = steps.solve(block, state)
         for q, state in zip(*solved, strict=True):
@@ -276,23 +276,21 @@ def _result_at(problem: LCP, q: Vector, z: Vector, settings: Settings) -> Result
     return Result.of(problem.with_q(q), point, [stage], settings)
 
 
-def take_steps(done: March, algorithm: Any, options: dict[str, Any], limit: float) -> None:
+def take_steps(done: March, algorithm: Any, options: dict[str, Any], clock: Clock) -> None:
     """Take the remaining steps of a march within a time limit, until one is not solved."""
     problem, propagator, total = done.problem, done.propagator, len(done.forcing)
-    is_lcp, clock = isinstance(problem, LCP), Clock()
+    is_lcp = isinstance(problem, LCP)
     state = done._z[-1] if done._z else done.z0
     first: Stage | None = None  # the method that solved the step before
     while done.taken < total and done.all_solved:
-        step, is_late = done.taken, clock.read() >= limit
+        step, left = done.taken, clock.left
         try:
             stated = done.problems[step].with_q(done.forcing[step] + propagator @ state)
-            call = {**options}
-            if limit < np.inf:
-                call["max_seconds"] = max(limit - clock.read(), 0.0)
+            call = {**options, "max_seconds": left}
             if is_lcp and first is not None:
                 within, watch = parse_call("auto", call)[1], call.get("callback")
                 near = checks.checked_start(stated, state)
-                result = run_on(stated, None, within, near, Clock(), watch, first)
+                result = run_on(stated, None, within, near, Clock(left), watch, first)
             elif is_lcp:
                 result = solve_lcp(stated, algorithm, z0=state, **call)
             else:  # z° is not passed as a start, because over cones Newton's steps begin at a start
@@ -306,7 +304,7 @@ def take_steps(done: March, algorithm: Any, options: dict[str, Any], limit: floa
                 first = repeated(result.stages[-1]) if step else None
             done.take(result.z, result)
             state = result.z
-            if is_late and result.is_solved and done.taken < total:  # it began at its solution
+            if not left and result.is_solved and done.taken < total:  # it began at its solution
                 done.error, done.all_solved = NotConverged("the limit max_seconds"), False
         except InvalidProblem as error:
             if not done:
@@ -421,13 +419,13 @@ def march(
     >>> steps.z.ravel().round(4)
     array([0.7709, 0.6399, 0.6   ])
     """
-    clock, limit = Clock(), Settings(max_seconds=max_seconds).max_seconds
+    clock = Clock(Settings(max_seconds=max_seconds).max_seconds)
     every = 0 if keep == "last" else whole_number(keep, "keep", 1, ', or "last"')
     done = _begin(problem, forcing, propagator, z0, algorithm, options)
     done.keep = every
     try:
-        take_steps_on_band(done, algorithm, options, limit - clock.read())
-        take_steps(done, algorithm, options, max(limit - clock.read(), 0.0))
+        take_steps_on_band(done, algorithm, options, clock)
+        take_steps(done, algorithm, options, clock)
     except KeyboardInterrupt:
         if not done.taken:
             raise

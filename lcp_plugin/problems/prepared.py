@@ -8,7 +8,6 @@ from __future__ import annotations
 
 import math
 from functools import partial
-from time import perf_counter
 from typing import Any, Generic, TypeVar
 
 import numpy as np
@@ -22,6 +21,7 @@ from ..core.checks import (
     checked_vector,
     read_only,
 )
+from ..core.deadline import Clock
 from ..core.entries import clip, unbounded
 from ..core.errors import InvalidOption, did_you_mean
 from ..core.lcp import LCP
@@ -118,7 +118,7 @@ class PreparedLCP(PreparedProblem[LCP]):
         """Return the start or the end of Lemke's path if the quick test accepts it; NaN and infinities do not pass."""
         if self._arrays is None:
             return None
-        began, (A, b, low, high, nearest), n = perf_counter(), self._arrays, self.problem.n
+        clock, (A, b, low, high, nearest), n = Clock(), self._arrays, self.problem.n
         q, M, lower, upper = (data.get(name) for name in ("q", "M", "lower", "upper"))
         if q is not None:
             b = copied(q, "q", n)[np.newaxis]
@@ -140,7 +140,7 @@ class PreparedLCP(PreparedProblem[LCP]):
         if any(each is not None for each in (q, M, lower, upper)):
             known = {"q": b[0], "lower": low[0], "upper": high[0]}
             known |= {} if M is None else {"M": A[0]}
-        make = partial(self._record, known, near, z, perf_counter() - began)
+        make = partial(self._record, known, near, z, clock.read())
         return Result.of_known(make, z=z, status=Status.SOLVED, _asked=self._method)
 
     def _record(self, data: Any, near: Vector, z: Vector, seconds: float) -> Result:
@@ -189,7 +189,7 @@ class PreparedProgram(PreparedProblem[QuadraticProgram]):
         """Return daqp's point if plain sums accept it, and nothing hints at a program without a minimum."""
         if self._arrays is None or not data.keys().isdisjoint(self.problem.matrix_names):
             return None
-        began, ((P, C, kinds), vectors) = perf_counter(), self._arrays
+        clock, ((P, C, kinds), vectors) = Clock(), self._arrays
         if start is not None:
             checked_start_of_program(self.problem, start)
         if all(is_plain(value, *vectors[name].shape) for name, value in data.items()):
@@ -205,14 +205,14 @@ class PreparedProgram(PreparedProblem[QuadraticProgram]):
         end = DAQP.end_of(m, P, C, kinds, c.copy(), *ends, DAQP.defaults)
         if end.reported is EngineStatus.INFEASIBLE:
             changed = self.problem.with_vectors(*every)
-            return infeasible_result(changed, end, self._settings, perf_counter() - began)
+            return infeasible_result(changed, end, self._settings, clock.read())
         x, y = clip(end.x, lower, upper), end.y
         errors = sharp_errors(JudgedProgram(self.problem.matrices.terms, c, d, lower, upper), x, y)
         is_certain = errors.primal <= CERTAIN_ROWS and x @ x <= FAR**2
         if not (is_certain and errors.gap <= 0.5 * self._settings.tolerance):
             return None
         solution = QPSolution.of_known(partial(self._solution, every, x, y), x=read_only(x))
-        make = partial(self._record, perf_counter() - began)
+        make = partial(self._record, clock.read())
         return QuadraticProgramResult.of_known(make, solution=solution, status=Status.SOLVED)
 
     def _solution(self, data: Any, x: Vector, y: Vector) -> QPSolution:

@@ -17,8 +17,8 @@ import numpy as np
 import scipy.sparse as sp
 from numpy.typing import NDArray
 
+from ..core import deadline
 from ..core.checks import Array, BoolVector, Indices, Vector
-from ..core.deadline import time_limit
 from ..core.entries import largest_in_rows, row_numbers
 from ..core.errors import NotSquare, UnsupportedModel
 from ..core.kernels.floats import DATA_ROUNDING, NEGLIGIBLE
@@ -773,6 +773,6 @@ def solve_from(square: SquareModel, start: Vector | None, options: dict[str, Any
     options = options if is_given else {**options, "z0": start}
     result: Result = solve(problem, **options)
     limit = options.get("max_seconds")
-    with time_limit(np.inf if limit is None else limit - result.seconds):
+    with deadline.limit(np.inf if limit is None else limit - result.seconds):
         result = square.proved(result)
     return result if is_given else replace(result, begun=result.begun or BEGUN)

@@ -50,8 +50,8 @@ import numpy as np
 import scipy.sparse as sp
 from numpy.typing import ArrayLike
 
+from ..core import deadline
 from ..core.checks import AnyMatrix, Array, BoolVector, Vector, checked_vector
-from ..core.deadline import Clock, is_over
 from ..core.entries import largest_products, max_norm, scale_matrix
 from ..core.errors import InvalidOption, InvalidProblem, UnsuitableMatrix
 from ..core.kernels.floats import OUTWARD, TINY, UNDERFLOW, UNIT
@@ -568,7 +568,7 @@ def error_bound(problem: LCP, z: ArrayLike, *, sharp: bool = True) -> ErrorBound
         raise InvalidProblem(refusal("error_bound", problem))
     if not isinstance(sharp, bool | np.bool_):
         raise InvalidOption(f"sharp must be True or False, got {sharp!r}")
-    z, clock = checked_vector(z, "z", problem.n, is_finite=False), Clock()
+    z, clock = checked_vector(z, "z", problem.n, is_finite=False), deadline.Clock()
     is_positive = bool(np.all(problem.diagonal > 0.0))
     family: BoundProof | None = comparison_certificate(problem.matrix) if is_positive else None
     if family is None and (family := smallest_eigenvalue_bound(problem.matrix)) is None:
@@ -673,10 +673,10 @@ def curvature(P: AnyMatrix) -> Curvature:
         i = int(weights.argmin())
         return Curvature(np.full(weights.size, -np.inf), f"P[{i}, {i}] = {weights[i]:g}")
     for block in block_rows(connected_components(rows, directed=False)[1]):
-        part: Any = -np.inf
         if block.size == 1:
             continue
-        if not is_over() and (part := _weights(sp.csr_array(rows[block][:, block]))) is None:
+        part = -np.inf if deadline.is_over() else _weights(sp.csr_array(rows[block][:, block]))
+        if part is None:
             return Curvature(np.full(weights.size, -np.inf), "P has a negative eigenvalue")
         weights[block] = part
     return Curvature(weights)
@@ -696,7 +696,7 @@ def constrained_curvature(P: AnyMatrix, A: AnyMatrix) -> Curvature:
     ('P is positive definite on the null space of A', 2.0)
     """
     of_P, rows = curvature(P), sp.csr_array(A)
-    if of_P.indefinite or (of_P.weights > 0.0).all() or not rows.nnz or is_over():
+    if of_P.indefinite or (of_P.weights > 0.0).all() or not rows.nnz or deadline.is_over():
         return of_P
     rank = np.count_nonzero(np.diff(sp.csr_array(P).indptr))  # at most, without A
     if rank + rows.shape[0] < of_P.weights.size:

@@ -27,8 +27,8 @@ from itertools import chain
 
 import numpy as np
 
+from ..core import deadline
 from ..core.checks import Indices
-from ..core.deadline import SEARCH_SECONDS, is_over, time_limit
 from ..core.names import describe_radius, grouped, listed
 from . import exact, farkas
 from .farkas import FarkasCertificate, FarkasProgram, LinearConstraints
@@ -129,7 +129,7 @@ class Conflict:
 def find_conflict(rows: LinearConstraints, name: Namer, multipliers: RowWeights) -> Conflict:
     """Return a set of constraints that conflict, irreducible if the search ends in time; as in :class:`Conflict`."""
     y: RowWeights = {i: value for i, value in multipliers.items() if value}
-    with time_limit(SEARCH_SECONDS):
+    with deadline.limit(deadline.SEARCH_SECONDS):
         every, used = np.arange(rows.q.size), np.array(sorted(y))
         chosen = every if rows.matrix.nnz <= 200_000 else used  # entries: some seconds
         few = _part(rows, chosen)
@@ -175,7 +175,7 @@ def _smaller(
     best, certificate = y, FarkasCertificate(rows, y)
     least = (len(y) if certificate.holds_near else rows.q.size + 1, not certificate.holds)
     for program in programs:
-        if (answer := None if is_over() else program.solve()) is None:
+        if (answer := None if deadline.is_over() else program.solve()) is None:
             break
         vector = program.vector(answer.x)
         is_nonzero = np.abs(vector) > farkas.LP_TOLERANCE * np.abs(vector).max(initial=0.0)
@@ -195,7 +195,7 @@ def _is_irreducible(rows: LinearConstraints, y: RowWeights) -> bool:
     proof = FarkasCertificate(rows, y)
     members = exact.rational_rows(rows.matrix[sorted(y)])
     place = {j: k for k, j in enumerate(sorted({j for row in members for j in row}))}
-    if not proof.holds_near or is_over() or len(members) * len(place) > exact.MOST_ENTRIES:
+    if not proof.holds_near or deadline.is_over() or len(members) * len(place) > exact.MOST_ENTRIES:
         return False
     if proof.holds:
         return len(exact.rank_profile(exact.integer_rows(members, place)[0])[0]) == len(members) - 1

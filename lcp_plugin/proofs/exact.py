@@ -27,8 +27,8 @@ import numpy as np
 import scipy.sparse as sp
 from numpy.typing import ArrayLike, NDArray
 
+from ..core import deadline
 from ..core.checks import AnyMatrix, Array, Vector
-from ..core.deadline import is_over
 from ..core.errors import InvalidProblem
 from ..core.kernels.floats import EPSILON, LARGEST, TINY
 from ..core.lcp import LCP
@@ -344,7 +344,7 @@ def _reduce(work: Integers, k: int) -> tuple[list[int], list[int]]:
     rows, columns = [], []
     for i in range(work.shape[0]):
         nonzero = np.flatnonzero(work[i, :k])
-        if not nonzero.size or is_over():
+        if not nonzero.size or deadline.is_over():
             continue
         j = int(nonzero[0])
         rows.append(i)
@@ -395,7 +395,7 @@ def _lifted(A: IntegerRows, b: Sequence[int], inverse: Integers) -> Fractions | 
     residual = np.array([int(value) for value in b], dtype=object)
     x = np.zeros(len(A), dtype=object)
     modulus, digits, next_try = 1, 0, 4
-    while not is_over():
+    while not deadline.is_over():
         digit = inverse @ (residual % PRIME).astype(np.int64) % PRIME
         residual = (residual - _limb_product(limbs, digit)) // PRIME
         x += digit.astype(object) * modulus
@@ -538,7 +538,7 @@ def _by_largest_block(rows: list[Row], right: Fractions, guess: Fractions) -> Ro
     place = {j: k for k, j in enumerate(columns)}
     common = math.lcm(*(value.denominator for value in right))
     whole, scales = integer_rows(rows, place)
-    if is_over():
+    if deadline.is_over():
         return None
     at, chosen = rank_profile(whole)
     block = [[whole[i][k] for k in chosen] for i in at]

@@ -17,8 +17,8 @@ from typing import Any
 import numpy as np
 import scipy.sparse as sp
 
+from ..core import deadline
 from ..core.checks import AnyMatrix, Array, BoolVector, Vector
-from ..core.deadline import is_over, seconds_left
 from ..core.entries import max_norm, row_numbers, scale_matrix
 from ..core.kernels.floats import DATA_ROUNDING
 from ..engines.linear_program import highs
@@ -327,7 +327,7 @@ class FarkasProgram:
         for y in self._tried(answer):
             proofs += filter(None, [proven(y)])
             is_enough = proofs and proofs[-1].radius == math.inf and proofs[-1].margin >= wanted
-            if is_enough or is_over():
+            if is_enough or deadline.is_over():
                 break
         return max(proofs, key=lambda proof: (proof.radius == math.inf, proof.margin), default=None)
 
@@ -452,7 +452,7 @@ def best_proof(
             proofs.append(proof)
             if proof.excludes(ENOUGH):
                 break
-        if is_over() or left <= 0:
+        if deadline.is_over() or left <= 0:
             break
     return max(proofs, key=lambda proof: proof.margin, default=None)
 
@@ -493,7 +493,7 @@ def linear_program(
     right = np.broadcast_to(right, equations.shape[0])
     names = "primal_feasibility_tolerance", "dual_feasibility_tolerance"
     options: Any = dict.fromkeys(names, LP_TOLERANCE) | {"maxiter": pivots or pivot_limit(size)}
-    if math.isfinite(left := seconds_left()):
+    if math.isfinite(left := deadline.left()):
         options["time_limit"] = left
     ends = np.broadcast_to(bounds[0], cost.size), np.broadcast_to(bounds[1], cost.size)
     result = highs(cost, at_most[0], at_most[1], equations, right, ends, **options)

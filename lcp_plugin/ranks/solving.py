@@ -15,6 +15,7 @@ from scipy.sparse import csgraph
 
 from ..core.algorithm import Step
 from ..core.checks import Array, Vector, read_only
+from ..core.deadline import Clock
 from ..core.entries import largest_products
 from ..core.errors import InvalidOption, UnsuitableProblem
 from ..core.kernels.threads import threads_for
@@ -252,14 +253,14 @@ class ProgressOnRanks(Progress):
         # The time limit of the loop is a limit of one rank: all ranks decide in `count`.
         halo, shows = problem.halo, settings.verbose and not problem.halo.rank
         super().__init__(problem, replace(settings, max_seconds=None, verbose=shows), callback)
-        self.halo, self.max_seconds = halo, settings.max_seconds
+        self.halo, self.timer = halo, Clock(settings.max_seconds)
         self.is_interrupted = is_interrupted
         self.is_watched = halo.anywhere(callback is not None) or settings.verbose
 
     def count(self, stage: Stage, step: Step) -> None:
         """Count a step, and decide with the other ranks whether a limit is reached."""
         super().count(stage, step)
-        is_late = self.clock.elapsed >= self.max_seconds
+        is_late = not self.timer.left
         late, interrupted = self.halo.all_largest(float(is_late), float(self.is_interrupted()))
         if interrupted:
             self.end = Status.INTERRUPTED
@@ -300,10 +301,9 @@ class RunOnRanks(Run):
         """Yield the point, or the proof, that rank 0 finds for the whole problem."""
         problem, settings, halo = self.problem, self.settings, self.problem.halo
         parts, z0 = problem.gathered_problem(), problem.gathered(start)
-        left = max(self.progress.max_seconds - self.progress.clock.read(), 0.0)
         names = "tolerance", "absolute_tolerance", "threads"
         options = {name: getattr(settings, name) for name in names}
-        options["max_seconds"] = None if left == math.inf else left
+        options["max_seconds"] = self.progress.timer.left
 
         def solve() -> tuple[Any, ...]:
             z = None if z0 is None or not np.isfinite(z0).all() else z0

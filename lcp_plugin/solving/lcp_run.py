@@ -190,7 +190,7 @@ class LCPRun(Run):
         if is_lost and not (math.isfinite(point.residual) and self.is_guaranteed):
             return Status.DIVERGED
         left = self.settings.max_iterations - progress.iteration
-        if left <= 0 or progress.clock.elapsed >= self.settings.max_seconds:
+        if left <= 0 or progress.clock.is_over:
             return None  # because a limit is reached
         # z° solves what is left, up to rounding
         if point.is_limited and point.residual <= self.goal:

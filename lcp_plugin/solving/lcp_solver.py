@@ -44,8 +44,8 @@ def solve_lcp(
     UnknownAlgorithm, InvalidOption, UnsuitableMatrix, UnsuitableProblem
         As :func:`lcp_plugin.solve`.
     """
-    clock = Clock()
     method, settings = parse_call(algorithm, options)
+    clock = Clock(settings.max_seconds)
     start = checked_start(problem, z0)
     first = (FIRST_METHOD if method is None else method).first_points(
         problem, start, settings.tolerance
@@ -54,7 +54,7 @@ def solve_lcp(
         first = measured_steps(problem, first, start, settings)
         if not settings.verbose:
             taken: list[Step] = []
-            while len(taken) < settings.max_iterations and clock.read() < settings.max_seconds:
+            while len(taken) < settings.max_iterations and clock.left:
                 if (step := next(first, None)) is None:
                     break
                 taken.append(step)

@@ -14,9 +14,9 @@ from contextlib import nullcontext
 from dataclasses import dataclass, field
 from typing import Any, NamedTuple
 
+from ..core import deadline
 from ..core.algorithm import Step
 from ..core.checks import Vector, read_only
-from ..core.deadline import Clock, OutOfTimeError, time_limit
 from ..core.errors import InvalidOption
 from ..core.lcp import LCP
 from ..core.settings import LIMITS, PROVEN, Settings, Status, checked_callback
@@ -200,7 +200,7 @@ class Progress:
     problem : object
     settings : Settings
     callback : callable or None
-    clock : Clock, optional
+    clock : deadline.Clock, optional
         Running.
 
     Attributes
@@ -220,10 +220,10 @@ class Progress:
         problem: Any,
         settings: Settings,
         callback: Callback | None = None,
-        clock: Clock | None = None,
+        clock: deadline.Clock | None = None,
     ) -> None:
         self.settings, self.callback = settings, checked_callback(callback)
-        self.clock = Clock() if clock is None else clock
+        self.clock = deadline.Clock(settings.max_seconds) if clock is None else clock
         self.is_watched = settings.record or settings.verbose or callback is not None
         self.stages: list[Stage] = []
         self.samples: list[Sample] = []
@@ -261,7 +261,7 @@ class Progress:
         """Return the limit that is reached, or None; the clock was read at the last step."""
         if self.iteration >= self.settings.max_iterations:
             self.end = Status.MAX_ITERATIONS
-        elif self.clock.elapsed >= self.settings.max_seconds:
+        elif self.clock.is_over:
             self.end = Status.MAX_SECONDS
         return self.end
 
@@ -441,14 +441,14 @@ class Run:
         Ctrl-C ends it with KeyboardInterrupt, because it also ends the runs around this one.
         """
         progress, end = self.progress, Status.STALLED
-        left = self.settings.max_seconds - progress.clock.read()
+        left = progress.clock.left
         try:
-            with nullcontext() if left == math.inf else time_limit(left, is_enforced=True):
+            with nullcontext() if left == math.inf else deadline.limit(left, is_enforced=True):
                 for stage in plan:
                     end = self.follow(stage)
                     if end not in FAILED or progress.end is not None:
                         break
-        except OutOfTimeError:
+        except deadline.OutOfTimeError:
             progress.end = Status.MAX_SECONDS
         return progress.end or end
 
@@ -472,7 +472,7 @@ class Run:
         else:
             progress.clock.read()  # steps may end by themselves because time is over
             stage.ending, end = NO_STEP, Status.STALLED
-            if progress.clock.elapsed >= self.settings.max_seconds:
+            if progress.clock.is_over:
                 end = progress.end = Status.MAX_SECONDS
         end = self.end_of_stage(stage, end)
         if end not in FAILED:

@@ -17,8 +17,8 @@ from typing import Any, NamedTuple
 import numpy as np
 import scipy.sparse as sp
 
+from ..core import deadline
 from ..core.checks import DENSE_ABOVE_DENSITY, AnyMatrix, Vector, read_only
-from ..core.deadline import enforced_seconds_left, require_seconds
 from ..core.entries import largest_in_rows, row_numbers, with_entries
 from ..core.matrix import Matrix, fact
 from ..core.tuning import DENSE_OPERATIONS, FACTOR_OPERATIONS_UP_TO, SPARSE_OPERATIONS
@@ -106,7 +106,7 @@ def lapack() -> Any:
 
 def positive_triangle(matrix: Vector) -> Vector | None:
     """Return the triangle of Cholesky's factor, as LAPACK has it; None if the matrix is not positive definite."""
-    require_seconds(matrix.shape[0] ** 3 / 3.0 / DENSE_OPERATIONS)
+    deadline.require_seconds(matrix.shape[0] ** 3 / 3.0 / DENSE_OPERATIONS)
     # A row-major upper triangle is LAPACK's lower triangle: no copy is transposed.
     factor, info = lapack().dpotrf(matrix.T, lower=1, clean=0)
     return factor if info == 0 else None
@@ -133,7 +133,7 @@ def dense_lu(matrix: Vector) -> Factor | None:
     n = matrix.shape[0]
     if n == 0:
         return Factor(np.copy, np.copy, 0.0, 0.0)
-    require_seconds(n**3 / 1.5 / DENSE_OPERATIONS)
+    deadline.require_seconds(n**3 / 1.5 / DENSE_OPERATIONS)
     factor, pivots, info = lapack().dgetrf(matrix.T)
     if info != 0:
         return None
@@ -148,7 +148,7 @@ def _banded_lu(matrix: sp.csr_array, below: int, above: int) -> Factor | None:
     n = matrix.shape[0]
     band = np.zeros((2 * below + above + 1, n), order="F")
     band[below + above + row_numbers(matrix) - matrix.indices, matrix.indices] = matrix.data
-    require_seconds(2.0 * n * below * (below + above + 1) / SPARSE_OPERATIONS)
+    deadline.require_seconds(2.0 * n * below * (below + above + 1) / SPARSE_OPERATIONS)
     factor, pivots, info = lapack().dgbtrf(band, below, above, overwrite_ab=1)
     if info != 0:
         return None
@@ -219,8 +219,8 @@ def sparse_lu(matrix: AnyMatrix, **options: Any) -> Any:
         pattern.eliminate_zeros()
         if not np.diff(pattern.indptr).all() or structural_rank(pattern) < matrix.shape[0]:
             raise RuntimeError("no order of the rows puts a nonzero on each place of the diagonal")
-    if enforced_seconds_left() < matrix.shape[0] ** 3 / SPARSE_OPERATIONS:
-        require_seconds(factor_sizes(matrix, LARGEST_FILL, np.inf)[1] / SPARSE_OPERATIONS)
+    if deadline.enforced_left() < matrix.shape[0] ** 3 / SPARSE_OPERATIONS:
+        deadline.require_seconds(factor_sizes(matrix, LARGEST_FILL, np.inf)[1] / SPARSE_OPERATIONS)
     return splu(matrix, **options)
 
 

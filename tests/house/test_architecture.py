@@ -259,6 +259,12 @@ def test_frozen_objects_are_written_by_their_constructors():
     assert len(lines_with(r"\bvars\(|\b__dict__\b")) <= MOST_WRITES
 
 
+def test_one_file_reads_the_time():
+    """Clocks and limits are in core/deadline: no other file reads the time."""
+    words = re.compile(r"perf_counter|monotonic\(|time\.time\(")
+    assert [f.name for f in FILES.values() if words.search(f.read_text("utf-8"))] == ["deadline.py"]
+
+
 def sizes_of(kind):
     """Return (lines of code, syntax node) of the large classes or functions, the largest first."""
     count, sizes = runpy.run_path(str(ROOT / ".ci" / "count.py"))["count"], []

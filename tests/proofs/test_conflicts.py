@@ -11,7 +11,7 @@ import pytest
 from scipy.optimize import linprog
 
 from lcp_plugin import LCP, QuadraticProgram, solve
-from lcp_plugin.core.deadline import time_limit
+from lcp_plugin.core import deadline
 from lcp_plugin.proofs.conflict import find_conflict
 
 
@@ -166,7 +166,7 @@ def test_dependent_equalities_are_reduced():
     conflict = find_conflict(rows, program.name, y)
     assert len(conflict.members) == 2
     assert_irreducible(program, conflict)
-    with time_limit(-1.0):
+    with deadline.limit(-1.0):
         limited = find_conflict(rows, program.name, y)
     assert (limited.members, limited.is_irreducible) == ([0, 1, 2], False)
 

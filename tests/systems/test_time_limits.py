@@ -13,7 +13,7 @@ from scipy.sparse.linalg import splu
 
 from lcp_plugin import LCP, EquilibriumProgram, QuadraticProgram, Status, gallery, solve
 from lcp_plugin.core import deadline
-from lcp_plugin.core.deadline import OutOfTimeError, enforced_seconds_left, is_over, time_limit
+from lcp_plugin.core.settings import Settings
 from lcp_plugin.solving.direct import direct_methods
 from lcp_plugin.systems import factors
 from lcp_plugin.systems.hierarchy.levels import build_hierarchy
@@ -50,11 +50,11 @@ def test_no_sparse_factorization_starts_that_would_end_after_the_limit(name, mon
 def test_no_factorization_starts_that_would_end_after_the_limit(factorize):
     """Where no time is left every factorization says so; with time, or where the limit is not enforced, it is made."""
     M = np.eye(2000)
-    with time_limit(1e-4, is_enforced=True), pytest.raises(OutOfTimeError):
+    with deadline.limit(1e-4, is_enforced=True), pytest.raises(deadline.OutOfTimeError):
         factorize(M)
-    with time_limit(1e-4):
+    with deadline.limit(1e-4):
         assert factorize(M) is not None
-    with time_limit(1000.0, is_enforced=True):
+    with deadline.limit(1000.0, is_enforced=True):
         assert factorize(M) is not None
 
 
@@ -63,7 +63,7 @@ def test_a_question_of_the_plan_that_does_not_fit_leaves_the_methods():
     random, n = np.random.default_rng(0), 300
     B = sp.random_array((n, n), density=0.01, rng=random, format="csr")
     M = sp.csr_array(B @ B.T + 0.1 * sp.eye_array(n) + 0.3 * (B - B.T))
-    with time_limit(1e-6, is_enforced=True):
+    with deadline.limit(1e-6, is_enforced=True):
         names = [stage.algorithm.name for stage in direct_methods(LCP(M, np.ones(n)), 1e-8)]
     assert "newton" in names
 
@@ -71,7 +71,7 @@ def test_a_question_of_the_plan_that_does_not_fit_leaves_the_methods():
 def test_no_hierarchy_is_built_after_the_limit():
     """A limit that is over ends the set-up of multigrid between two grids, also on an easy matrix."""
     M = gallery.build("obstacle_2d", size=20).problem.csr
-    with time_limit(-1.0, is_enforced=True), pytest.raises(OutOfTimeError):
+    with deadline.limit(-1.0, is_enforced=True), pytest.raises(deadline.OutOfTimeError):
         build_hierarchy(M)
 
 
@@ -112,16 +112,25 @@ def test_ctrl_c_acts_after_the_factorization_under_way(monkeypatch):
 
 def test_a_nested_time_limit_does_not_extend_the_outer_one():
     """The smaller of two nested limits counts, also if the inner one is infinite; the outer one is restored."""
-    with time_limit(0.0):
+    with deadline.limit(0.0):
         for seconds in (100.0, np.inf):
-            with time_limit(seconds):
-                assert is_over()
-        with time_limit(100.0, is_enforced=True):
-            assert enforced_seconds_left() <= 0.0
-    with time_limit(100.0):
-        with time_limit(0.0):
-            assert is_over()
-        assert not is_over()
+            with deadline.limit(seconds):
+                assert deadline.is_over()
+        with deadline.limit(100.0, is_enforced=True):
+            assert deadline.enforced_left() <= 0.0
+    with deadline.limit(100.0):
+        with deadline.limit(0.0):
+            assert deadline.is_over()
+        assert not deadline.is_over()
+
+
+def test_infinite_seconds_are_no_limit():
+    """``max_seconds=inf`` is the default, and a clock without a limit is never over."""
+    assert Settings(max_seconds=np.inf) == Settings()
+    clock = deadline.Clock()
+    assert (clock.left, clock.is_over) == (np.inf, False)
+    clock = deadline.Clock(0.0)
+    assert (clock.left, clock.is_over) == (0.0, True)
 
 
 def _unbounded() -> QuadraticProgram:

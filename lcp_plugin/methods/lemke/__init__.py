@@ -10,9 +10,9 @@ import numpy as np
 import scipy.sparse as sp
 from numpy.typing import NDArray
 
+from ...core import deadline
 from ...core.algorithm import Algorithm, Step
 from ...core.checks import Vector
-from ...core.deadline import is_over
 from ...core.errors import UnsuitableProblem
 from ...core.lcp import LCP
 from ...core.settings import whole_number
@@ -155,7 +155,7 @@ class Lemke(Algorithm):
             limit = multiple * (path.n + 10) if self.max_pivots is None else self.max_pivots
             cut_off = []
             for start in waiting:
-                if is_over():
+                if deadline.is_over():
                     return
                 is_solved = yield from self._follow(component, box, path, start, limit)
                 if is_solved:

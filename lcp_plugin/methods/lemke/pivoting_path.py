@@ -15,8 +15,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from ...core import deadline
 from ...core.checks import Array, FloatMatrix, Indices, Vector
-from ...core.deadline import is_over
 from ...core.entries import max_norm, unbounded
 from ...core.kernels.floats import DATA_ROUNDING
 from ...core.lcp import LCP
@@ -358,12 +358,12 @@ class LemkePath:
                 inverse = np.linalg.inv(core)
             except np.linalg.LinAlgError:
                 return False
-            if is_over() or not np.isfinite(inverse).all():
+            if deadline.is_over() or not np.isfinite(inverse).all():
                 return False
             absolute = np.abs(inverse)
             # Entries that are zero in exact arithmetic must be zero here, because a pivot could otherwise use them.
             inverse[absolute <= DATA_ROUNDING * (absolute @ np.abs(core) @ absolute)] = 0.0
-            if is_over() or not inverse.any(axis=1).all():  # a row of nothing but rounding
+            if deadline.is_over() or not inverse.any(axis=1).all():  # a row of nothing but rounding
                 return False
             beyond = D[np.ix_(slack_rows, columns)]
             top, below = np.empty((inner.size, n + 1)), np.zeros((outer.size, n + 1))

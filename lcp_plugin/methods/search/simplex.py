@@ -8,8 +8,8 @@ from fractions import Fraction
 
 import numpy as np
 
+from ...core import deadline
 from ...core.checks import Vector
-from ...core.deadline import require_seconds
 from ...proofs.exact import IntegerMatrix, exact_power_of_two, integers
 
 Bound = int | None  # None: no bound
@@ -44,7 +44,7 @@ class Effort:
         self.products += entries * (100 + (bits // 30) ** 2)
         if self.products >= self.due:
             self.due = self.products + QUANTUM
-            require_seconds(0.0)
+            deadline.require_seconds(0.0)
 
 
 class ExactSimplex:

@@ -61,13 +61,12 @@ class BatchRun:
         self.iterations, self.is_open = np.zeros(count, np.int64), np.ones(count, np.bool_)
         self.is_open[[*self.errors]] = False
         self.results: dict[int, Any] = {}  # of problems outside of stacks
-        self.is_interrupted, self.seconds, self.clock = False, 0.0, Clock()
+        self.is_interrupted, self.seconds, self.clock = False, 0.0, Clock(self.settings.max_seconds)
         self.callback: Any = None
 
-    @property
-    def seconds_left(self) -> float:
-        """Seconds to the limit of the batch, 0 after an interruption."""
-        return 0.0 if self.is_interrupted else self.settings.max_seconds - self.clock.read()
+    def has_time(self) -> bool:
+        """Return whether the limit is not reached and nothing interrupted the batch."""
+        return not self.is_interrupted and self.clock.left > 0.0
 
     def report(self) -> None:
         """Call the callback with the number of finished problems; a truthy return value ends the batch."""
@@ -107,11 +106,11 @@ class BatchRun:
         if settings.max_iterations < (1 if is_path else problems.fewest_iterations):
             return
         stacks_of = problems.path_stacks if is_path else problems.stacks
-        stacks = [*stacks_of(settings.tolerance, lambda: self.seconds_left > 0.0, self.threads)]
+        stacks = [*stacks_of(settings.tolerance, self.has_time, self.threads)]
 
         def solve_some(first: int, end: int) -> None:
             for items, solve_stack in stacks[first:end]:
-                if self.seconds_left > 0.0:
+                if self.has_time():
                     self._take(items, *solve_stack())
                     self.report()
 
@@ -135,16 +134,14 @@ class BatchRun:
     def _solve_others(self) -> None:
         """Solve the other problems by themselves, while there is time."""
         for k in np.flatnonzero(self.is_open).tolist():
-            if self.seconds_left <= 0.0:
+            if not self.has_time():
                 return
             self._keep(k, self._solve(k))
             self.report()
 
     def _solve(self, k: int) -> Any:
         """Return the result of problem k, or its error."""
-        options = {**self.options}
-        if self.settings.max_seconds < math.inf:
-            options["max_seconds"] = max(self.seconds_left, 0.0)
+        options = {**self.options, "max_seconds": self.clock.left}
         try:
             return solve_one(self.problems[k], self.problems.start(k), self.algorithm, options)
         except Exception as error:

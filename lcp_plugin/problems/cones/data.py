@@ -20,9 +20,8 @@ import numpy as np
 import scipy.sparse as sp
 from numpy.typing import ArrayLike, NDArray
 
-from ...core import checks
+from ...core import checks, deadline
 from ...core.checks import AnyMatrix, Vector, is_number, read_only, real_array
-from ...core.deadline import seconds_left
 from ...core.errors import InvalidProblem, did_you_mean
 from ...core.files import MATRIX_KEYS, save_arrays
 from ...core.lcp import LCP
@@ -261,7 +260,7 @@ def solve_conic(P: AnyMatrix, c: Vector, A: AnyMatrix, b: Vector, cones: list[An
     import clarabel  # not for problems that other methods solve
 
     settings = clarabel.DefaultSettings()
-    settings.verbose, settings.time_limit = False, seconds_left()
+    settings.verbose, settings.time_limit = False, deadline.left()
     settings.tol_gap_abs = settings.tol_gap_rel = settings.tol_feas = 1e-12
     P, A = sp.csc_matrix(P), sp.csc_matrix(A)
     return clarabel.DefaultSolver(P, c, A, b, cones, settings).solve()

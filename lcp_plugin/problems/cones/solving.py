@@ -96,7 +96,7 @@ def solve_cones(
         For a wrong option.
     """
     settings, chosen = Settings(**options) if options else DEFAULT, _checked_algorithm(algorithm)
-    clock, start, swept = Clock(), None, None
+    clock, start, swept = Clock(settings.max_seconds), None, None
     if z0 is not None:
         start = projected_on_cones(problem, checked_start(problem, z0))
     is_limited = not settings.max_iterations or settings.max_seconds <= 0.0

@@ -27,8 +27,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike
 
+from ...core import deadline
 from ...core.checks import Vector, is_number, vector_option
-from ...core.deadline import Clock, is_over, time_limit
 from ...core.errors import InvalidOption, UnsupportedModel
 from ...core.settings import PROVEN, Status, checked_tolerance
 from ...solving.run import Budget, Named, Stage
@@ -114,9 +114,9 @@ def minimize_over_solutions(
     limit = math.inf if max_seconds is None else float(max_seconds)
     if x0 is not None:  # the result is not worse than the start
         search.start = vector_option(x0, "x0", problem.program.n)
-        with time_limit(max(limit, 1.0)):  # seconds, for its piece
+        with deadline.limit(max(limit, 1.0)):  # seconds, for its piece
             search.solve_nearest_piece(search.start)
-    with time_limit(limit):
+    with deadline.limit(limit):
         if verbose:
             print(f"{'nodes':>8} {'value':>17} {'bound':>17} {'gap':>9} {'seconds':>9}", flush=True)
         watchers = [*[BranchAndBound.print_line] * verbose, *filter(None, [callback])]
@@ -165,7 +165,7 @@ class BranchAndBound:
     """
 
     def __init__(self, problem: EquilibriumProgram, tolerance: float, max_nodes: float) -> None:
-        self.clock, self.nodes = Clock(), 0
+        self.clock, self.nodes = deadline.Clock(), 0
         self.problem, self.tolerance, self.max_nodes = problem, tolerance, max_nodes
         self.relaxations = Relaxations(problem, tolerance)
         self.best = Node(problem.all_cases)  # without a point yet, of value ∞
@@ -265,7 +265,7 @@ class BranchAndBound:
         if self.problem.has_convex_relaxation and not self.tree:
             self._root()
         for x in (self.start, *(root.point for root in self.tree[:1]), *ends):
-            if is_over() or self.best.point is not None:
+            if deadline.is_over() or self.best.point is not None:
                 return
             point = None if x is None else self.problem.answer(self.relaxations.projected(x))
             if point is not None:
@@ -297,7 +297,7 @@ class BranchAndBound:
         while self.nodes < last and self.descent is None and (node := self._next()) is not None:
             if self.nodes >= self.max_nodes:
                 return Status.MAX_ITERATIONS
-            if is_over():
+            if deadline.is_over():
                 return Status.MAX_SECONDS
             if ends():
                 return Status.INTERRUPTED

@@ -8,8 +8,8 @@ from typing import Any
 
 import numpy as np
 
+from ...core import deadline
 from ...core.checks import Vector, checked_vector
-from ...core.deadline import seconds_left
 from ...judges.worst_rows import WorstRow, WorstRows
 from .branch_and_bound import minimize_over_solutions
 from .equilibrium_program import EquilibriumProgram
@@ -38,7 +38,7 @@ def verdict_at(problem: EquilibriumProgram, x: Any, tolerance: float) -> dict[st
         if not problem.is_provable:
             reason = "x is feasible, and no bound of the objective of this problem can be proved"
             return fields | {"verdict": "unproved", "reason": reason}
-        limits: Any = {"max_nodes": NODES, "max_seconds": seconds_left(), "x0": x, "prove": True}
+        limits: Any = {"max_nodes": NODES, "max_seconds": deadline.left(), "x0": x, "prove": True}
         best = minimize_over_solutions(problem, tolerance=0.1 * tolerance, **limits)
     lower, upper, excess = best.lower_bound, min(best.value, value), value - best.lower_bound
     fields |= {"lower": lower if lower > -math.inf else None, "upper": upper}

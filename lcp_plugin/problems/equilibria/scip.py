@@ -30,8 +30,8 @@ from typing import Any, NamedTuple
 import numpy as np
 import scipy.sparse as sp
 
+from ...core import deadline
 from ...core.checks import AnyMatrix, Vector
-from ...core.deadline import seconds_left
 from ...core.entries import entries_of_row
 from ...core.errors import UnsupportedModel
 from ...expressions.rows import Program
@@ -180,7 +180,7 @@ class _Model:
         model = self.model
         model.setParams(
             {
-                "limits/time": min(seconds_left(), SCIP_INFINITY),
+                "limits/time": min(deadline.left(), SCIP_INFINITY),
                 "limits/gap": SHARE * tolerance,
                 "limits/absgap": SHARE * tolerance,
                 "numerics/feastol": feasible,

@@ -36,8 +36,8 @@ from typing import Any
 import numpy as np
 import scipy.sparse as sp
 
+from ...core import deadline
 from ...core.checks import AnyMatrix, Array, BoolVector, Vector, derived_property
-from ...core.deadline import require_seconds
 from ...core.entries import clip, max_norm
 from ...core.kernels.floats import OUTWARD, TINY
 from ...core.rounding import compensated_product
@@ -298,7 +298,7 @@ def _push_by_products(
     scaled, (m, n) = problem.scaled, problem.shape
 
     def back(pull: Vector) -> Vector:
-        require_seconds(0.0)
+        deadline.require_seconds(0.0)
         full = np.zeros(n)
         full[columns] = pull
         return np.asarray(scaled.product(full))

@@ -32,8 +32,8 @@ from typing import Any, NamedTuple
 import numpy as np
 import scipy.sparse as sp
 
+from ...core import deadline
 from ...core.checks import AnyMatrix, Array, BoolVector, Vector
-from ...core.deadline import seconds_left
 from ...core.entries import clip
 from ...core.kernels.floats import DATA_ROUNDING, EPSILON, FEW_ROUNDINGS
 from ...core.tuning import DENSE_OPERATIONS, SPARSE_OPERATIONS
@@ -240,7 +240,7 @@ FACTORS = 20  # that PIQP makes, about
 def is_within_reach(problem: ScaledLeastSquares) -> bool:
     """Return whether PIQP, which cannot be stopped, is predicted to end in the remaining time."""
     # A minute, if there is no limit
-    whole, (m, n), seconds = problem.problem, problem.problem.shape, min(seconds_left(), 60.0)
+    whole, (m, n), seconds = problem.problem, problem.problem.shape, min(deadline.left(), 60.0)
     if whole.is_small:
         return True
     if whole.is_dense:
@@ -418,7 +418,7 @@ def _run_piqp(*statement: Any) -> tuple[ProgramData, EnginePoint]:
     """Return the program, and PIQP's point at a tolerance at which a small l1 counts."""
     program = ProgramData(*statement)
     engine = engine_class("piqp")(eps_abs=1e-13, eps_rel=1e-13)
-    return program, engine.solve(program, SolverLimits(seconds_left()))
+    return program, engine.solve(program, SolverLimits(deadline.left()))
 
 
 def minimize_on_face(point: FacePoint, A: Vector, b: Vector) -> FacePoint:

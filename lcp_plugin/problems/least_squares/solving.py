@@ -14,9 +14,9 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from ...core import deadline
 from ...core.algorithm import Step
 from ...core.checks import Array, BoolVector, Vector, checked_vector, derived_property, read_only
-from ...core.deadline import Clock, OutOfTimeError, is_over, seconds_left
 from ...core.entries import clip, max_norm
 from ...core.kernels.floats import FREE, HIGH, LOW
 from ...core.settings import DEFAULT, Settings, Status
@@ -85,7 +85,8 @@ def solve_least_squares(
     >>> result.x, result.cost, result.active_mask, result.status.name
     (array([1.5, 0. ]), 0.75, array([ 0, -1]), 'SOLVED')
     """
-    settings, clock = Settings(**options) if options else DEFAULT, Clock()
+    settings = Settings(**options) if options else DEFAULT
+    clock = deadline.Clock(settings.max_seconds)
     start = None if x0 is None else problem.checked_start(x0)
     is_limited = not settings.max_iterations or settings.max_seconds <= 0.0
     first = None
@@ -169,8 +170,8 @@ class LeastSquaresRun(Run):
             start = self.problem.nearest_to_zero if self.start is None else self.start
             yield Step(start, math.inf, work=0.0, iterations=0)
         for step in stage.steps:
-            if is_over():
-                raise OutOfTimeError
+            if deadline.is_over():
+                raise deadline.OutOfTimeError
             yield step
 
     def measure(self, stage: Stage, step: Step) -> Optimality | None:
@@ -403,8 +404,7 @@ def verdict_at(problem: BoundedLeastSquares, x: Any, tolerance: float) -> dict[s
     if not (worst := rows(1)):
         reason = f"the cost exceeds the minimum by at most {at.residual:.2g} of it, up to rounding of the data"
         return fields | {"verdict": "proved", "reason": reason}
-    limit: Any = {} if (left := seconds_left()) == math.inf else {"max_seconds": left}
-    found = solve_least_squares(problem, **limit)
+    found = solve_least_squares(problem, max_seconds=deadline.left())
     value, radius = at.misfit
     least = problem.cost(near, np.maximum(np.abs(value) - radius, 0.0))
     upper = float(at.enclosures.cost_above(found.x))

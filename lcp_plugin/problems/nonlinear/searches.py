@@ -17,9 +17,9 @@ from typing import Any, ClassVar
 
 import numpy as np
 
+from ...core import deadline
 from ...core.algorithm import Algorithm, Step
 from ...core.checks import Vector
-from ...core.deadline import is_over
 from ...core.entries import max_norm
 from ...core.kernels.floats import DATA_ROUNDING, NEGLIGIBLE, NEGLIGIBLE_DIAGONAL
 from ...core.settings import Settings
@@ -92,7 +92,7 @@ class JosephyNewton(Algorithm):
                     self.current, self.step_name, self.length = start, "restart", 0.0
                     yield self.step()
                 yield from self.steps_from(start, search)
-                if self.is_at_floor() or is_over():
+                if self.is_at_floor() or deadline.is_over():
                     return
 
     def step(self) -> Step:
@@ -176,7 +176,8 @@ class JosephyNewton(Algorithm):
         for target in targets(self.current, self.linear, self.tolerance):
             self.step_name, self.length = target.name, 1.0
             better = self.full_step(target) or self.search(target)
-            if better is not None or is_over() or (target.name == "Newton" and self.is_at_floor()):
+            is_last = deadline.is_over() or better is not None
+            if is_last or (target.name == "Newton" and self.is_at_floor()):
                 return better
         return None
 

@@ -21,9 +21,9 @@ from typing import Any, NamedTuple
 import numpy as np
 import scipy.sparse as sp
 
+from ...core import deadline
 from ...core.algorithm import Algorithm
 from ...core.checks import AnyMatrix, Vector
-from ...core.deadline import Clock, is_over, seconds_left
 from ...core.entries import clip, largest_in_rows, max_norm
 from ...core.errors import UnsuitableMatrix, UnsuitableProblem
 from ...core.kernels.floats import FREE, LARGEST, LOW, NEGLIGIBLE
@@ -180,7 +180,7 @@ def _active_set_targets(point: Linearization, shift: float) -> Iterator[Aim]:
     before = classify(problem, zero, problem.q)
     for _ in range(ACTIVE_SETS):
         solution = solve_active_set(problem, *before, near=zero)
-        if solution is None or solution.system.is_singular or is_over():
+        if solution is None or solution.system.is_singular or deadline.is_over():
             return
         now = classify(problem, solution.z, problem.slack(solution.z))
         is_last = all(map(np.array_equal, before, now))
@@ -269,15 +269,11 @@ def solve_within(problem: LCP, algorithm: str | Algorithm, tolerance: float) -> 
 
     The start is the projected gradient step, so that the methods find a solution near it.
     """
-    left, clock = seconds_left(), Clock()
     method = method_of(algorithm, {})
-    limit = None if left == math.inf else left
     absolute = tolerance * measured_residual(problem, np.zeros(problem.n))
-    settings = Settings(
-        tolerance, max_seconds=limit, polish=False, absolute_tolerance=min(absolute, LARGEST)
-    )
+    settings = Settings(tolerance, None, deadline.left(), min(absolute, LARGEST), polish=False)
     step = np.nan_to_num(-problem.q / problem.residual_scale)
     start = np.clip(step, problem.lower, problem.upper)
-    run = LCPRun(problem, method, settings, None, clock, start)
+    run = LCPRun(problem, method, settings, None, deadline.Clock(settings.max_seconds), start)
     stages = _stages_of_step(problem, method, run.goal)
     return run.result(run.follow_all(stages))

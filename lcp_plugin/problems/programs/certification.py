@@ -18,8 +18,8 @@ from typing import Any
 import numpy as np
 import scipy.sparse as sp
 
+from ...core import deadline
 from ...core.checks import Vector, checked_vector, derived_property, is_number, restore_state
-from ...core.deadline import is_over, seconds_left, time_limit
 from ...core.entries import largest_products
 from ...core.errors import InvalidOption, InvalidProblem, LCPError, did_you_mean
 from ...core.kernels.floats import LARGEST, OUTWARD
@@ -152,7 +152,7 @@ def certify(
     _check_limits(tolerance, max_seconds)
     check_labels(problem, {"x": x})
     tolerance = float(tolerance)
-    with time_limit(math.inf if max_seconds is None else float(max_seconds)):
+    with deadline.limit(math.inf if max_seconds is None else float(max_seconds)):
         if isinstance(problem, QuadraticProgramResult) and x is None:
             problem, x = problem.program, problem
         if isinstance(x, QuadraticProgramResult) and claim is None and x.has_no_solution:
@@ -391,7 +391,8 @@ class ProgramProofs:
     @derived_property
     def own_solution(self) -> QPSolution | None:
         """Solution of the program by a built-in solve; None if the time is over or the solve fails."""
-        with suppress(LCPError), time_limit(0.5 * seconds_left()):  # a proof takes time as well
+        # a proof takes time as well
+        with suppress(LCPError), deadline.limit(0.5 * deadline.left()):
             return solve_program(self.program, prove_infeasibility=False).solution
         return None
 
@@ -639,7 +640,7 @@ class ProvenBounds:
         The search requires that x violates a constraint by more than the tolerance, or that no lower bound is known.
         """
         is_missed = self.violation.largest > self.tolerance and self.upper == math.inf
-        if is_over() or not (is_missed or self.lower == -math.inf):
+        if deadline.is_over() or not (is_missed or self.lower == -math.inf):
             return ""
         proof = proofs.no_minimum
         if isinstance(proof, QPInfeasibility):

@@ -9,8 +9,8 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
+from ...core import deadline
 from ...core.checks import Vector
-from ...core.deadline import Clock, is_over, seconds_left
 from ...core.entries import clip
 from ...core.errors import InvalidOption, UnsuitableProblem
 from ...engines import engine_class, is_installed, scaling
@@ -186,13 +186,13 @@ def run_engine(
         raise UnsuitableProblem(
             f'{engine.name} solves {engine.solves}, but P has nonzeros; take "piqp", or give P = None'
         )
-    reduced, clock = program.folded.reduced, Clock()
+    reduced, clock = program.folded.reduced, deadline.Clock()
     best, iterations, reported = None, 0, EngineStatus.GAVE_UP
     errors, passes = KKTErrors(np.inf, np.inf), False
     for scaled in _statements(reduced, scale):
         try:
             if end is None or not is_of(scaled.statement, reduced):
-                end = engine.solve(scaled.statement, SolverLimits(seconds_left(), is_verbose))
+                end = engine.solve(scaled.statement, SolverLimits(deadline.left(), is_verbose))
             point, end = end, None
         except Exception:  # an external solver may raise any error for an option
             _check_engine(engine)
@@ -210,9 +210,9 @@ def run_engine(
                 best, errors, passes = (x, y), measures, is_good
             enough = size * (SHARP / 64.0 if is_polished else NO_POLISH)
             is_best = not is_cheap or (is_polished and not is_small) or errors.gap <= enough
-            if is_over() or (passes and is_best):
+            if deadline.is_over() or (passes and is_best):
                 break
-        if passes or is_over():
+        if passes or deadline.is_over():
             break
     solution = QPSolution.from_reduced(program, *(best or nearest(program)))
     found = ProgramPoint(solution, errors, passes, reported, engine.name, iterations)

@@ -17,8 +17,8 @@ import numpy as np
 import scipy.sparse as sp
 from numpy.typing import NDArray
 
+from ...core import deadline
 from ...core.checks import AnyMatrix, MadeOnAccess, Vector, derived_property
-from ...core.deadline import is_over
 from ...core.entries import largest_in_rows, largest_products, max_norm, or_one
 from ...core.kernels.floats import DATA_ROUNDING, EPSILON, TINY, UNIT
 from ...core.names import describe_radius, grouped, listed
@@ -404,7 +404,7 @@ def known_proof(program: QuadraticProgram, y: Vector | None = None) -> NoMinimum
             proof = with_bounds(program, {i: Fraction(v) for i, v in enumerate(y.tolist()) if v})
         if proof is None or not proof.excludes(PROGRAM_TOLERANCE):
             proof = proof_of_no_minimum(program)
-        if is_over():
+        if deadline.is_over():
             return proof
         program.known["proof"] = proof
     return program.known["proof"]
@@ -461,7 +461,7 @@ def _unfolded(folded: FoldedRows, reduced_proof: NoMinimum | None) -> NoMinimum 
 
 def _prove_by_programs(program: QuadraticProgram, exactly: bool) -> NoMinimum | None:
     """Return a proof that linear programs find."""
-    if not _is_sought(program) or is_over():
+    if not _is_sought(program) or deadline.is_over():
         return None
     # Beyond, fractions take longer than the linear program
     exactly = exactly or sum(program.matrices.entries) <= 10_000

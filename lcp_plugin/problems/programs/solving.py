@@ -9,9 +9,9 @@ from typing import Any
 
 import numpy as np
 
+from ...core import deadline
 from ...core.algorithm import Step
 from ...core.checks import Vector, vector_option
-from ...core.deadline import Clock, is_over, seconds_left, time_limit
 from ...core.entries import clip, max_norm
 from ...core.errors import InvalidOption, UnsuitableMatrix, UnsuitableProblem, UnsupportedModel
 from ...core.settings import DEFAULT, DEFAULTS, OF_SOLVE, Settings, Status
@@ -90,9 +90,9 @@ def solve_program(
     UnknownAlgorithm, InvalidOption
         Same conditions as for `solve`.
     """
-    clock = Clock()
     call = parsed(algorithm, tolerance=tolerance, **options)
     algorithm, engine, settings, options, solve_options = call
+    clock = deadline.Clock(settings.max_seconds)
     callback, start = solve_options.pop("callback", None), solve_options.pop("z0", None)
     start = None if start is None else checked_start_of_program(program, start)
     name = algorithm if isinstance(algorithm, str) else algorithm.name
@@ -114,7 +114,7 @@ def solve_program(
     else:
         plan = iter([run.lcp_stage(algorithm, options)])
     try:
-        with time_limit(settings.max_seconds):
+        with deadline.limit(settings.max_seconds):
             refuse_nonconvex(program)
     except UnsupportedModel:
         if not settings.prove_infeasibility or program.is_convex is not False:
@@ -155,7 +155,7 @@ def checked_start_of_program(program: QuadraticProgram, z0: Any) -> Vector:
 
 
 def first_point(
-    program: QuadraticProgram, settings: Settings, clock: Clock
+    program: QuadraticProgram, settings: Settings, clock: deadline.Clock
 ) -> tuple[EnginePoint | None, QuadraticProgramResult | None, float]:
     """Return daqp's end on a small program, the result if a run of auto would end with this point, and its residual.
 
@@ -239,7 +239,7 @@ def _engine(algorithm: object, options: dict[str, Any]) -> Engine | None:
 
 def planned(program: QuadraticProgram) -> tuple[str, Any, Iterator[Stage]]:
     """Return the matrix and the stages of a program for `analyze`; none if it is not convex."""
-    run = ProgramRun(program, "auto", DEFAULT, {}, None, Clock(), None)
+    run = ProgramRun(program, "auto", DEFAULT, {}, None, deadline.Clock(), None)
     return "P", program.P, iter(()) if program.is_convex is False else run.all_stages()
 
 
@@ -248,7 +248,7 @@ class ProgramProgress(Progress):
 
     def limit(self) -> Status | None:
         """Return the limit that the call, or a run on the complementarity problem, has reached."""
-        if self.end is None and is_over():
+        if self.end is None and deadline.is_over():
             self.end = Status.MAX_SECONDS
         elif self.end is None and not self.settings.max_iterations:
             self.end = Status.MAX_ITERATIONS
@@ -278,7 +278,7 @@ class ProgramRun(Run):
         settings: Settings,
         options: dict[str, Any],
         callback: Any,
-        clock: Clock,
+        clock: deadline.Clock,
         start: Vector | None,
         end: EnginePoint | None = None,
     ) -> None:
@@ -359,9 +359,9 @@ class ProgramRun(Run):
     def _regression_steps(self, problem: Any, outward: Outward) -> Iterator[Step]:
         """Yield the start, the solution of the least squares problem, and the minimum on its face."""
         yield Step(nearest(self.program)[0], iterations=0, work=0.0)
-        tolerance, left = self.settings.tolerance, seconds_left()
+        tolerance = self.settings.tolerance
         options: dict[str, Any] = {"max_iterations": self.options.get("max_iterations")}
-        options["max_seconds"] = None if left == math.inf else left
+        options["max_seconds"] = deadline.left()
         result = solve_least_squares(problem, tolerance=tolerance, **options)
         if result.status is Status.INTERRUPTED:  # it also ends the run around this one
             raise KeyboardInterrupt
@@ -379,10 +379,10 @@ class ProgramRun(Run):
         self, algorithm: Any, options: dict[str, Any], ends_before: str = ""
     ) -> Iterator[Step]:
         """Yield the point of a run on the complementarity problem, which shows its own steps, up to an algorithm."""
-        progress, n, left = self.progress, self.program.n, seconds_left()
+        progress, n = self.progress, self.program.n
         tolerance = self.settings.tolerance
         problem = optimality_conditions(self.program)
-        lcp_options = {**options, **self.options, "max_seconds": None if left == math.inf else left}
+        lcp_options = {**options, **self.options, "max_seconds": deadline.left()}
         if self.start is not None:
             lcp_options["z0"] = np.append(self.start, np.zeros(problem.n - self.start.size))
         passing: Vector | None = None

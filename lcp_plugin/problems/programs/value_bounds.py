@@ -31,8 +31,8 @@ from typing import NamedTuple
 import numpy as np
 import scipy.sparse as sp
 
+from ...core import deadline
 from ...core.checks import BoolVector, Vector
-from ...core.deadline import is_over
 from ...core.entries import largest_in_rows, max_norm, or_one, row_numbers
 from ...core.kernels.floats import OUTWARD, UNDERFLOW
 from ...core.rounding import compensated_pair, compensated_product, gamma, lower_end, upper_end
@@ -90,7 +90,7 @@ class DualBounds:
         largest = -np.inf
         for bound in self._bounds(self.admit(x, y)):
             largest = max(largest, bound)
-            if largest >= enough or is_over():
+            if largest >= enough or deadline.is_over():
                 break
         return largest
 
@@ -304,7 +304,7 @@ def implied_box(program: QuadraticProgram) -> Box:
         closed = np.flatnonzero(
             (was_open[0] & np.isfinite(lower)) | (was_open[1] & np.isfinite(upper))
         )
-        if not closed.size or is_over():
+        if not closed.size or deadline.is_over():
             break
         touched = np.unique(by_column[:, closed].indices)
     return lower, upper

@@ -23,8 +23,8 @@ import numpy as np
 import scipy.sparse as sp
 from numpy.typing import NDArray
 
+from ...core import deadline
 from ...core.checks import AnyMatrix, Arrays, Vector, read_only
-from ...core.deadline import require_seconds
 from ...core.entries import largest_in_rows
 from ...core.matrix import Matrix, fact
 from ...core.structure import is_nearly_symmetric
@@ -73,7 +73,7 @@ def build_hierarchy(
     entries, work, has_jumps = max(grid.entries, 1), float(grid.entries), False
     products, strength = 0.0, STRENGTH_AMONG_POSITIVE
     while grid.n > coarsest:
-        require_seconds(0.0)
+        deadline.require_seconds(0.0)
         # pyamg counts in 32 bits.
         if grid.entries > 2**30:
             return Hierarchy(alone, (), work, is_helpful=False)
@@ -98,7 +98,7 @@ def build_hierarchy(
         # At most 32 occurred in cases that multigrid helps
         if P.shape[1] > LARGEST_GRID_SHARE * grid.n or products > 45.0 * entries:
             return Hierarchy(alone, (), work, is_helpful=False)
-        require_seconds(0.0)
+        deadline.require_seconds(0.0)
         coarse = kernels.galerkin(grid.matrix, prolongation, restriction, P.shape[1])
         grid = grid_of(coarse, may_cut=not scales_rows)
         grids.append(grid)

@@ -13,13 +13,12 @@ from fractions import Fraction
 from typing import Any
 
 import numpy as np
+from oracles.exact_program import ExactProgram, exact
 
 from lcp_plugin import QuadraticProgram
 from lcp_plugin.problems.programs.certification import Certification, ProgramProofs
 from lcp_plugin.problems.programs.no_minimum import known_proof
 from lcp_plugin.problems.programs.solution import QPSolution
-
-from .outliers import ExactProgram, exact
 
 MULTIPLIERS = ("a sign", "both bounds")  # planted in the multipliers of a right x
 KINDS = ("definite", "definite, equations", "semidefinite", "linear", "free", "degenerate")

@@ -12,6 +12,7 @@ import numpy as np
 import scipy.sparse as sp
 from collection.judgement import false_claim, shortfall
 from oracles.exact import Exact, bound_violations
+from oracles.exact_criterion import failures
 from oracles.relations import EXACT, bits, scaled
 from oracles.truth import SOLVABLE, ExactData, decide
 
@@ -43,7 +44,7 @@ SOLVED, BOUND, VERDICT, CLAIM, CRASH, MODIFIED = VIOLATIONS = (
 )
 NEAR, OPEN = TOLD = "near", "open"
 TOLERANCE = 1e-9
-OUTLIERS = ("lcp", "program", "linear")
+OUTLIERS = ("program", "linear")
 DERIVATIVES = (
     "h_plus", "definite", "p_matrix", "nonsymmetric", "ill_conditioned", "scaled", "chain", "nearly_degenerate",
 )  # fmt: skip
@@ -135,6 +136,16 @@ def extreme(rng: Generator, kind: str) -> Found:
             is_as_told = max(map(abs, solution.exact_z)) > largest
         if not is_as_told:
             yield Finding(CLAIM, f"{solution} in doubles")
+
+
+def odd(rng: Generator, kind: str) -> Found:
+    """Check claims on integers with one or two outliers; SOLVED also means that every row holds in fractions."""
+    M, q, lower, upper, words = module("outliers").odd_lcp(rng)
+    problem = LCP(M, q, lower=lower, upper=upper)
+    yield from claims(problem, decide(problem).verdict, (kind,))
+    result = solve(problem, kind)
+    if result.is_solved and (lines := failures(problem, result.z)):
+        yield Finding(SOLVED, f"{words}: {lines}")
 
 
 def related(rng: Generator, kind: str) -> Found:
@@ -416,6 +427,7 @@ Case = Callable[[Generator, Any], Found]
 ROUND: dict[str, tuple[Case, tuple[Any, ...], int]] = {
     "small": (small, tuple(small_lcps.KINDS), 54),
     "extreme": (extreme, tuple(small_lcps.EXTREMES), 12),
+    "odd": (odd, ("auto", "lemke", "newton", "interior_point"), 11),
     "related": (related, tuple(EXACT), 45),
     "optional": (optional, ("auto", *REGISTRY), 57),
     "planted": (planted, tuple(small_lcps.KINDS), 18),
@@ -423,7 +435,7 @@ ROUND: dict[str, tuple[Case, tuple[Any, ...], int]] = {
     "search": (searched, ("any",), 6),
     "guarantee": (guaranteed, ("any",), 10),
     "program": (programs, tuple(convex_programs.FAMILIES), 38),
-    "outlier": (outlier, OUTLIERS, 33),
+    "outlier": (outlier, OUTLIERS, 22),
     "game": (game, ("integers", "odd", "shifted"), 9),
     "path": (path, ("any",), 4),
     "units": (rescaled_program, ("any",), 6),

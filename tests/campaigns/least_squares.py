@@ -6,10 +6,10 @@ not and with which status, and how many SOLVED cost more than the least by over 
 rounding explains, beside a least cost of 0 or another; where the least is out of reach; or else FALSE. For scipy it
 counts how many answers are so.
 
-The truth is an active set method in rational arithmetic on the stored doubles, whose answer x* satisfies the optimality
-conditions exactly. With ρ(x) = ε (|A||x| + |b|), rounding explains that ‖√W(A x − b)‖ exceeds what it may be by
-8 (n + 4)‖√W ρ(x)‖. The least is out of reach where ‖√W ρ(x*)‖, which rounding of entries and of x* changes at x*, is
-more than x costs: columns that depended on others before they were rounded to doubles, and an x* of 10¹⁶.
+The truth is an x* that satisfies the optimality conditions of the stored doubles exactly. With ρ(x) = ε (|A||x| + |b|),
+rounding explains that ‖√W(A x − b)‖ exceeds what it may be by 8 (n + 4)‖√W ρ(x)‖. The least is out of reach where
+‖√W ρ(x*)‖, which rounding of entries and of x* changes at x*, is more than x costs: columns that depended on others
+before they were rounded to doubles, and an x* of 10¹⁶.
 """
 
 from __future__ import annotations
@@ -20,7 +20,7 @@ from functools import cached_property
 from typing import Any
 
 import numpy as np
-from oracles.exact import solve_fractions
+from oracles.exact_program import ExactProgram, dot, exact
 
 from lcp_plugin import BoundedLeastSquares
 from lcp_plugin.problems.least_squares.solving import LeastSquaresResult, solve_least_squares
@@ -161,43 +161,21 @@ class Exact:
     """A problem in rational arithmetic."""
 
     def __init__(self, case: Case) -> None:
-        m, n = case.A.shape
-        self.n, self.m = n, m
-        self.A = [[Fraction(v) for v in row] for row in case.A]
-        self.b = [Fraction(v) for v in case.b]
-        self.weights = (
-            [Fraction(1)] * m if case.weights is None else [Fraction(v) for v in case.weights]
-        )
-        self.ridge = Fraction(case.ridge)
-        self.lower = [None if v == -INF else Fraction(v) for v in case.lower]
-        self.upper = [None if v == INF else Fraction(v) for v in case.upper]
-        self.gram = [[self._inner(j, k) for k in range(n)] for j in range(n)]
-
-    def _inner(self, j: int, k: int) -> Fraction:
-        terms = (w * row[j] * row[k] for w, row in zip(self.weights, self.A, strict=True))
-        return sum(terms, Fraction(0)) + self.ridge * (j == k)
-
-    def residual(self, x: list[Fraction]) -> list[Fraction]:
-        """Return A x − b."""
-        return [
-            sum((a * v for a, v in zip(row, x, strict=True)), -c)
-            for row, c in zip(self.A, self.b, strict=True)
-        ]
+        A, b = [exact(row) for row in case.A], exact(case.b)
+        weights = exact(np.ones(len(b)) if case.weights is None else case.weights)
+        columns = list(zip(*A, strict=True))
+        pulled = [[w * a for w, a in zip(weights, column, strict=True)] for column in columns]
+        P = [[dot(own, other) for other in columns] for own in pulled]
+        for j in range(len(P)):
+            P[j][j] += Fraction(case.ridge)
+        none = np.zeros((0, len(P)))
+        of_x = none, [], none, [], case.lower, case.upper
+        self.program = ExactProgram(P, [-dot(own, b) for own in pulled], *of_x)
+        self.constant = sum((w * v * v for w, v in zip(weights, b, strict=True)), Fraction(0)) / 2
 
     def cost(self, x: list[Fraction]) -> Fraction:
         """Return the cost."""
-        squares = sum(
-            (w * r * r for w, r in zip(self.weights, self.residual(x), strict=True)), Fraction(0)
-        )
-        return (squares + self.ridge * sum(v * v for v in x)) / 2
-
-    def gradient(self, x: list[Fraction]) -> list[Fraction]:
-        """Return the gradient of the cost."""
-        pulls = [w * r for w, r in zip(self.weights, self.residual(x), strict=True)]
-        return [
-            sum((row[j] * p for row, p in zip(self.A, pulls, strict=True)), self.ridge * x[j])
-            for j in range(self.n)
-        ]
+        return self.program.value(x) + self.constant
 
     @cached_property
     def least(self) -> Fraction:
@@ -206,51 +184,15 @@ class Exact:
 
     @cached_property
     def answer(self) -> list[Fraction]:
-        """An x of least cost: a column is let go at a time, so that free ones stay independent and the cost falls."""
-        x = [max(low if low is not None else Fraction(0), Fraction(0)) for low in self.lower]
-        x = [min(v, high) if high is not None else v for v, high in zip(x, self.upper, strict=True)]
-        free: list[int] = []
-        while (entering := self._pulled(x, free)) is not None:
-            free.append(entering)
-            while True:
-                gradient = self.gradient(x)
-                step = solve_fractions(
-                    [[self.gram[j][k] for k in free] for j in free], [-gradient[j] for j in free]
-                )
-                share, hits = self._share(x, free, step)
-                for j, d in zip(free, step, strict=True):
-                    x[j] += share * d
-                if not hits:
-                    break
-                free = [j for j in free if j not in hits]
-        return x
-
-    def _pulled(self, x: list[Fraction], free: list[int]) -> int | None:
-        best, largest = None, Fraction(0)
-        for j, g in enumerate(self.gradient(x)):
-            can_move = x[j] != self.upper[j] if g < 0 else x[j] != self.lower[j]
-            if j not in free and g and can_move and g * g / self.gram[j][j] > largest:
-                best, largest = j, g * g / self.gram[j][j]
-        return best
-
-    def _share(
-        self, x: list[Fraction], free: list[int], step: list[Fraction]
-    ) -> tuple[Fraction, list[int]]:
-        share, hits = Fraction(1), []
-        for j, d in zip(free, step, strict=True):
-            bound = self.upper[j] if d > 0 else self.lower[j]
-            if d and bound is not None and (bound - x[j]) / d <= share:
-                part = (bound - x[j]) / d
-                if part < share:
-                    share, hits = part, []
-                if part < 1:
-                    hits.append(j)
-        return share, hits
+        """An x of least cost; there always is one."""
+        found = self.program.optimum()
+        assert found is not None
+        return found
 
 
-def complaint(case: Case, exact: Exact, x: Any, tolerance: float = TOLERANCE) -> str:
+def complaint(case: Case, truth: Exact, x: Any, tolerance: float = TOLERANCE) -> str:
     """Return what is to be said of a SOLVED x; nothing where it costs no more than the least and tolerance · cost."""
-    cost, least = exact.cost([Fraction(float(v)) for v in x]), exact.least
+    cost, least = truth.cost([Fraction(float(v)) for v in x]), truth.least
     if cost - least <= Fraction(tolerance) * cost:
         return ""
     root = np.ones(case.b.size) if case.weights is None else np.sqrt(case.weights)
@@ -262,4 +204,4 @@ def complaint(case: Case, exact: Exact, x: Any, tolerance: float = TOLERANCE) ->
     shortest = np.sqrt(2.0 * float(least) / max(1.0 - tolerance, EPSILON))
     if length <= shortest + 8.0 * (case.A.shape[1] + 4) * rounding(x):
         return "above by rounding" if least else "attained 0"
-    return "out of reach" if rounding([float(v) for v in exact.answer]) >= length else "FALSE"
+    return "out of reach" if rounding([float(v) for v in truth.answer]) >= length else "FALSE"

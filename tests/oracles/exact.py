@@ -33,13 +33,9 @@ class Exact(NamedTuple):
 
 def exact_solution(problem: LCP) -> Exact:
     """Return the exact solution of a small problem whose matrix is a P-matrix; ValueError where none is found."""
-    M = exact_rows(problem.csr)
-    q = [Fraction(float(entry)) for entry in problem.q]
-    for states in _guesses(problem):
-        solved = verified(problem, M, q, states)
-        if solved is not None:
-            return Exact(*solved)
-    z = decide(problem).z
+    M, q = exact_rows(problem.csr), [Fraction(entry) for entry in problem.q.tolist()]
+    cases = (_solution_of(problem, M, q, states) for states in _guesses(problem))
+    z = next((z for z in cases if z is not None), None) or decide(problem).z
     if z is None:
         raise ValueError(f"no active set of {problem!r} gives a solution")
     return Exact(z, tuple(ExactData(problem).slack(z)))
@@ -129,36 +125,18 @@ def _guesses(problem: LCP) -> Iterator[States]:
     yield from reversed(seen)
 
 
-def verified(
+def _solution_of(
     problem: LCP, M: list[list[Fraction]], q: list[Fraction], states: States
-) -> tuple[tuple[Fraction, ...], tuple[Fraction, ...]] | None:
-    """Return z and w of a case in which the equations determine z, if all rows are complementary."""
-    n = problem.n
-    ends = {LOWER: problem.lower, UPPER: problem.upper}
-    z = [
-        Fraction(0) if states[i] == FREE else Fraction(float(ends[states[i]][i])) for i in range(n)
-    ]
+) -> tuple[Fraction, ...] | None:
+    """Return z of a case in which the equations determine z, if all rows are complementary."""
+    n, ends = problem.n, {LOWER: problem.lower, UPPER: problem.upper}
+    z = [Fraction(0) if states[i] == FREE else Fraction(ends[states[i]][i]) for i in range(n)]
     free = [i for i in range(n) if states[i] == FREE]
     rhs = [-q[i] - sum(M[i][j] * z[j] for j in range(n) if states[j] != FREE) for i in free]
     inner = solve_fractions([[M[i][j] for j in free] for i in free], rhs)
-    if inner is None:
-        return None
-    for i, value in zip(free, inner, strict=True):
+    for i, value in zip(free, inner or (), strict=False):
         z[i] = value
-    w = [q[i] + sum(M[i][j] * z[j] for j in range(n)) for i in range(n)]
-    return (tuple(z), tuple(w)) if all(_holds(problem, i, z[i], w[i]) for i in range(n)) else None
-
-
-def _holds(problem: LCP, i: int, z: Fraction, w: Fraction) -> bool:
-    """Whether row i is complementary, exactly."""
-    low, high = float(problem.lower[i]), float(problem.upper[i])
-    is_low = math.isfinite(low) and z == Fraction(low)
-    is_high = math.isfinite(high) and z == Fraction(high)
-    if (math.isfinite(low) and z < Fraction(low)) or (math.isfinite(high) and z > Fraction(high)):
-        return False
-    if is_low and is_high:
-        return True
-    return w >= 0 if is_low else w <= 0 if is_high else w == 0
+    return None if inner is None or not ExactData(problem).is_solution(z) else tuple(z)
 
 
 def bound_violations(z: np.ndarray, exact: Exact, bound: Any) -> int:

@@ -12,8 +12,8 @@ import qpsolvers
 import scipy.sparse as sp
 from campaigns import forbidding_costs
 from campaigns.forbidding_costs import transport
-from campaigns.outliers import ExactProgram, exact
 from numpy.random import Generator
+from oracles.exact_program import ExactProgram, exact
 
 from lcp_plugin import QPSolver, QuadraticProgram, Status, certify, solve, solve_batch
 from lcp_plugin.interfaces.qpsolvers import register_with_qpsolvers

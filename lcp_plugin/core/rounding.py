@@ -69,9 +69,23 @@ def compensated_product(M: AnyMatrix, x: Vector, q: Vector | None = None) -> tup
     >>> bool(0.0 < radius[1] < 1e-16)
     True
     """
-    high, low, radius = compensated_pair(M, x, q)
+    return one_number(*compensated_pair(M, x, q))
+
+
+def one_number(high: Vector, low: Vector, radius: Vector) -> tuple[Vector, Vector]:
+    """Return (value, radius) of sums (high, low, radius), `low` added to the radius."""
     low = np.abs(low)
     return high, np.where(radius == 0.0, low, np.nextafter(low + radius, np.inf))
+
+
+def add_pairs(a: Sums, b: Sums) -> Sums:
+    """Return (high, low, radius) of the sum of two results of :func:`compensated_pair`."""
+    high, error = split_sum(a[0], b[0])
+    low, lost = split_sum(a[1], b[1])
+    low, missed = split_sum(low, error)
+    high, low = split_sum(high, low)
+    radius = a[2] + b[2] + np.abs(lost) + np.abs(missed)
+    return high, low, radius * (1.0 + 8.0 * UNIT)
 
 
 def compensated_pair(M: AnyMatrix, x: Vector, q: Vector | None = None) -> Sums:

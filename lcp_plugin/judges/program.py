@@ -50,7 +50,7 @@ from ..core.checks import AnyMatrix, Array, Indices, Vector
 from ..core.entries import clip, entries_of_rows, largest_in_rows, largest_products
 from ..core.kernels.compilation import helper, kernel
 from ..core.kernels.floats import DATA_ROUNDING, INF, NEGLIGIBLE, UNIT
-from ..core.rounding import compensated_product
+from ..core.rounding import add_pairs, compensated_pair, compensated_product, one_number
 from ..core.structure import components_of_links
 
 PROGRAM_TOLERANCE = 1e-6  # of the gap, by default
@@ -279,7 +279,8 @@ class PrimalDualPoint:
         self.limits, self.product_terms = np.abs(d), of_P @ self.of_x
         self.row_terms = of_C @ self.of_x + self.limits
         if is_exact:
-            self.product, self.product_doubt = compensated_product(self.terms.sparse_P, x)
+            of_x = compensated_pair(self.terms.sparse_P, x)
+            self.product, self.product_doubt = one_number(*of_x)
         else:
             self.product, self.product_doubt = P @ x, (in_P + 3.0) * UNIT * self.product_terms
         y = self.terms.needed_multipliers(self.product + program.c, y)
@@ -287,8 +288,8 @@ class PrimalDualPoint:
         self.slope_terms = self.product_terms + self.cost + of_columns @ self.of_y
         self.rounding = (in_P + in_columns + 3.0) * UNIT * self.slope_terms
         if is_exact:
-            both = np.concatenate([x, y])
-            self.gradient, self.doubt = compensated_product(self.terms.gradient, both, program.c)
+            of_y = compensated_pair(self.terms.columns, y, program.c)
+            self.gradient, self.doubt = one_number(*add_pairs(of_x, of_y))
             self.excess, self.row_doubt = compensated_product(self.terms.rows, x, -d)
         else:
             self.gradient, self.doubt = self.product + program.c + C.T @ y, self.rounding

@@ -11,6 +11,7 @@ import operator
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field, replace
 from fractions import Fraction
+from functools import partial
 from typing import Any, ClassVar, TypeVar
 
 import numpy as np
@@ -24,8 +25,9 @@ from ...core.kernels.floats import DATA_ROUNDING, EPSILON, TINY, UNIT
 from ...core.names import describe_radius, grouped, listed
 from ...core.problem_classes import Door
 from ...core.settings import Status
+from ...engines import is_installed
 from ...engines.polish import shifted_solver
-from ...engines.solvers import DAQP, call_daqp, ends_of_rows
+from ...engines.solvers import DAQP, call_daqp, ends_of_rows, kinds_of_rows
 from ...judges.program import NOISE, PROGRAM_TOLERANCE, ROWS, JudgedProgram
 from ...proofs import farkas
 from ...proofs.conflict import Conflict, find_conflict
@@ -475,16 +477,30 @@ def _is_sought(program: QuadraticProgram) -> bool:
     return is_small and sum(program.matrices.entries) <= 1_000_000
 
 
-def multipliers_of_soft_rows(program: JudgedProgram, kinds: Any) -> list[Vector] | None:
+def shown_proof(program: QuadraticProgram) -> tuple[Vector, QPInfeasibility] | None:
+    """Return a point with small violations and a proof of infeasibility; None if `multipliers_of_soft_rows` finds none.
+
+    The proof is searched for when it is read.
+    """
+    reduced = program.folded.reduced
+    is_suited = reduced.matrices.is_small and reduced.matrices.terms.is_dense
+    if not (is_suited and is_installed(DAQP.name)):
+        return None
+    if (shown := multipliers_of_soft_rows(reduced.judged)) is None:
+        return None
+    make = partial(searched_proof, program, shown[1])
+    return shown[0], QPInfeasibility.of_known(make, program=program)
+
+
+def multipliers_of_soft_rows(program: JudgedProgram) -> list[Vector] | None:
     """Return a point with small violations and multipliers of rows that show infeasibility by plain sums; or None.
 
     daqp's multipliers of rows that may be violated are violations that no x reduces: yᵀC is nearly 0 where no bound
     closes a column. A least squares step removes the rest. Sums with bounds of their rounding errors accept y only if
-    `with_bounds` of it is a proof with a margin at least 100 times above `ROWS`. The program is dense; `kinds` of its
-    bounds and rows are daqp's.
+    `with_bounds` of it is a proof with a margin at least 100 times above `ROWS`. The program is dense.
     """
     (terms, c, d, lower, upper), n = program, program.c.size
-    C, of_C, soft = terms.C, terms.both[1][n:], kinds.copy()
+    C, of_C, soft = terms.C, terms.both[1][n:], kinds_of_rows(n, terms.m, d.size - terms.m)
     soft[n:] += SOFT
     relative = of_C / terms.row_sizes[:, np.newaxis]
     units = np.diag(or_one((relative * relative).sum(axis=0)))

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterator
-from functools import partial
 from typing import Any
 
 import numpy as np
@@ -39,13 +38,11 @@ from .engine_points import (
 )
 from .no_minimum import (
     NoMinimum,
-    QPInfeasibility,
     QPUnboundedness,
     as_doubles,
     known_proof,
-    multipliers_of_soft_rows,
     proof_of_contradiction,
-    searched_proof,
+    shown_proof,
 )
 from .program import QuadraticProgram, refuse_nonconvex
 from .regression import Outward, points_near, regression_of
@@ -197,18 +194,16 @@ def infeasible_result(
 ) -> QuadraticProgramResult | None:
     """Return the result of a program that daqp reports as infeasible if multipliers show that it is; else None.
 
-    The proof is searched for when it is read. A result without proofs is STALLED, at a point with small violations.
+    A result without proofs is STALLED, at a point with small violations.
     """
-    reduced = program.folded.reduced
-    layout: Any = reduced.matrices.of_daqp
-    if (shown := multipliers_of_soft_rows(reduced.judged, layout[2])) is None:
+    if (shown := shown_proof(program)) is None:
         return None
-    (x, y), because = shown, f"it reports {end.reported.value}"
+    because, stalled = f"it reports {end.reported.value}", not settings.prove_infeasibility
     stages = (StageRecord(DAQP.name, because, end.iterations, 0.0),)
-    solution, status, proof = QPSolution.on_access(program, x, 0.0 * y), Status.STALLED, None
-    if settings.prove_infeasibility:
-        proof = QPInfeasibility.of_known(partial(searched_proof, program, y), program=program)
-        solution, status = QPSolution.none(program), proof.status
+    solution, proof = QPSolution.none(program), None if stalled else shown[1]
+    if stalled:
+        solution = QPSolution.on_access(program, shown[0], nearest(program)[1])
+    status = Status.STALLED if stalled else Status.INFEASIBLE
     fields = {"tolerance": settings.tolerance, "seconds": seconds, "stages": stages}
     fields |= {"algorithm": "auto: daqp", "iterations": end.iterations, "status": status}
     return QuadraticProgramResult.of_known(None, **fields, solution=solution, proof=proof)
@@ -445,8 +440,12 @@ class ProgramRun(Run):
     def _search_proof(self) -> None:
         """Keep the proof that the program has no solution, or the proof that shows this except for rounding."""
         latest, y = self.latest, None
-        if latest is not None and latest.reported is EngineStatus.INFEASIBLE and not self._is_short:
-            y = np.concatenate([latest.solution.inequality, latest.solution.equality])
+        if latest is not None and latest.reported is EngineStatus.INFEASIBLE:
+            if (shown := shown_proof(self.program)) is not None:
+                self.proof = shown[1]
+                return
+            if not self._is_short:
+                y = np.concatenate([latest.solution.inequality, latest.solution.equality])
         proof = known_proof(self.program, y)
         if proof is not None and proof.excludes(self.settings.tolerance):
             self.proof = proof

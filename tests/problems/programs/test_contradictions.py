@@ -21,6 +21,7 @@ from lcp_plugin import (
 from lcp_plugin.problems.programs.no_minimum import multipliers_of_soft_rows, with_bounds
 
 INF = np.inf
+VECTORS_AND_ROWS = "c", "G", "h", "A", "b", "lower", "upper"
 
 
 @pytest.mark.parametrize("algorithm", ["auto", "daqp", "lemke"])
@@ -196,6 +197,17 @@ def test_small_inconsistent_programs_need_no_run_and_have_a_proof(gap, draws, mo
         assert (stalled.x <= program.upper).all()
 
 
+def test_a_small_infeasible_linear_program_needs_no_search_before_its_proof_is_read(draws):
+    """Multipliers by daqp show the contradiction that PIQP reports; the proof of the status holds when it is read."""
+    for seed in draws(8):
+        program = inconsistent(np.random.default_rng(seed), 1.0)
+        linear = QuadraticProgram(None, *(getattr(program, name) for name in VECTORS_AND_ROWS))
+        result = solve(linear)
+        assert result.status is Status.INFEASIBLE
+        assert "proof" not in linear.known
+        assert result.proof.verify()
+
+
 def test_multipliers_of_soft_rows_prove_what_they_accept(draws):
     """They accept no consistent program, however small the gap, and are a proof with a margin above 1e-7 otherwise."""
     shown = 0
@@ -203,7 +215,7 @@ def test_multipliers_of_soft_rows_prove_what_they_accept(draws):
         rng = np.random.default_rng(seed)
         gap = rng.choice([0.0, -1e-9, *10.0 ** rng.uniform(-8, 1, 4)])
         program = inconsistent(rng, gap)
-        found = multipliers_of_soft_rows(program.judged, program.matrices.of_daqp[2])
+        found = multipliers_of_soft_rows(program.judged)
         if found is not None:
             proof = with_bounds(program, {i: Fraction(y) for i, y in enumerate(found[1]) if y})
             assert gap > 0.0

@@ -268,7 +268,7 @@ class RowData:
         """
         if self.labels is None:
             return values.max(-1, keepdims=True, initial=0.0)
-        maxima = np.zeros(int(self.labels.max(initial=-1)) + 1)
+        maxima = np.zeros(self.labels.size)
         np.maximum.at(maxima, self.labels, values)
         return maxima[self.labels]
 
@@ -332,7 +332,7 @@ class RowData:
         for first in range(0, w.shape[-1], BLOCK):
             part = (..., slice(first, first + BLOCK))
             step = np.divide(w[part], scale[part], out=residual[part])
-            if not step.all():  # perhaps a quotient underflows
+            if not np.logical_and.reduce(step, None):  # perhaps a quotient underflows
                 is_lost = (step == 0.0) & (w[part] != 0.0)
                 step[is_lost] = np.copysign(TINY, w[part][is_lost])
             np.maximum(step, z[part] - self.upper[part], out=step)
@@ -562,11 +562,11 @@ def divide_nonnegative(numerators: Any, denominators: Any) -> Any:
     return np.where(numerators == 0.0, 0.0, quotients)
 
 
-def bound_residual(data: RowData, z: Vector, tolerance: float) -> float:
+def bound_residual(data: RowData, z: Vector, tolerance: float, most: Any = INF) -> float:
     """Return an upper bound of the relative residual of z, within its bounds; ∞ if the test does not decide.
 
     A finite bound shows that the criterion accepts z, as :func:`bound_residuals` proves it for stacks; it takes half of
-    the time. The factors .999 and 1.001 cover the rounding of the last lines.
+    the time. The factors .999 and 1.001 cover the rounding of the last lines. `most` bounds the reference of each row.
     """
     origin, size = data.origin, np.abs(z)
     products, at_0, rounding_at_0 = data.absolute @ size, data.q, 0.0
@@ -586,7 +586,7 @@ def bound_residual(data: RowData, z: Vector, tolerance: float) -> float:
     top: Any = np.maximum.reduce if data.labels is None else data.largest
     gap = np.minimum(np.where(is_above, above, np.inf), np.where(is_below, below, np.inf))
     largest, first = top(residual), top(step_at_0 - rounding_at_0)
-    reference = np.minimum(first, top(of_free))  # or less
+    reference = np.minimum(np.minimum(first, most), top(of_free))  # or less
     is_right = (residual < 0.999 * gap) & (violation <= 0.5 * NEGLIGIBLE * terms)
     is_right &= (first > 0.0) | (top(np.abs(z - origin)) == 0.0)
     is_right &= (1.001 * largest <= 0.5 * tolerance * reference) & (terms < np.inf)

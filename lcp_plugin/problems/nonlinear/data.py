@@ -60,7 +60,7 @@ from ...core.settings import Settings
 from ...core.structure import components_of_dense, connected_components
 from ...core.tuning import CHEAP_UP_TO
 from ...judges.certificate import PRECISE, Certificate
-from ...judges.lcp import Measured, RowData, RowsAtPoint
+from ...judges.lcp import Measured, RowData, RowsAtPoint, bound_residual
 from ...methods.small import SMALL_SPARSE
 from ...systems.factors import Factor, factorize
 
@@ -555,15 +555,20 @@ class LinearizedRows(RowData):
         return self._linear_references[1] == 0.0
 
     @cached_property
-    def references(self) -> tuple[Vector, Vector]:
-        """References as the docstring of this module defines them."""
-        origin, distance = self.origin_point.value, self.largest(np.abs(self.x - self.origin))
-        distance = np.maximum(distance, self.largest_slack_at_origin)
+    def residual_at_origin(self) -> Vector:
+        """The residual of F(z°) in the component of each row; ∞ if it is 0 or F is not defined there."""
+        origin = self.origin_point.value
         residual = np.abs(self.residual(self.origin, origin))
         of_value = self.largest(np.where(np.isfinite(origin), residual, np.inf))
-        of_value = np.where(of_value > 0.0, of_value, np.inf)
+        return np.where(of_value > 0.0, of_value, np.inf)
+
+    @cached_property
+    def references(self) -> tuple[Vector, Vector]:
+        """References as the docstring of this module defines them."""
+        distance = self.largest(np.abs(self.x - self.origin))
+        distance = np.maximum(distance, self.largest_slack_at_origin)
         least, most = (
-            np.minimum(np.where(self.is_solved_at_origin, distance, end), of_value)
+            np.minimum(np.where(self.is_solved_at_origin, distance, end), self.residual_at_origin)
             for end in self._linear_references
         )
         return least, most
@@ -727,10 +732,15 @@ class Linearization:
         return self.data.rows(self.x, self.value)
 
     def measure(self, settings: Settings) -> Measured:
-        """Return the measure of x by the stopping criterion."""
+        """Return the measure of x by the stopping criterion; without rows if a sufficient test accepts x."""
         if self._measured is None:
-            limits = settings.goal, settings.absolute_tolerance
-            self._measured = self.data.measure_at(self.x, self.value, *limits)
+            data, goal, absolute = self.data, settings.goal, settings.absolute_tolerance
+            bound = bound_residual(data, self.x, goal, data.residual_at_origin)
+            is_sure = bound < math.inf and (
+                max_norm(self.steps) < absolute or not moves_on(self).any()
+            )
+            full = None if is_sure else data.measure_at(self.x, self.value, goal, absolute)
+            self._measured = full or Measured(self.x, bound, passes=True)
         return self._measured
 
     @cached_property

@@ -74,9 +74,12 @@ class JosephyNewton(Algorithm):
     @cached_property
     def weights(self) -> Vector:
         """1/reference of the component of each row at the start; shape (1,) for one component."""
-        if self.first.data.labels is None:
+        data = self.first.data
+        if data.labels is None:
             return np.ones(1)
-        unit = self.first.data.references[1]
+        unit = data.residual_at_origin
+        if not np.isfinite(unit).all():
+            unit = data.references[1]
         return 1.0 / np.where((unit > 0.0) & np.isfinite(unit), unit, 1.0)
 
     def iterates(self, problem: Any, z0: Any) -> Iterator[Step]:
@@ -186,11 +189,11 @@ class JosephyNewton(Algorithm):
         return self.size_of(self.current) <= NEGLIGIBLE * self.size_of(self.first)
 
     def full_step(self, target: Aim) -> Linearization | None:
-        """Return the target if it has less than half of the current residual, in the current scale."""
+        """Return the target if its residual is less than ¾ of the current residual, in the current scale."""
         current, point = self.current, self._at(target.x)
         there = current.data.residual(point.x, point.value)
         size, before = (max_norm(self.weights * steps) for steps in (there, current.steps))
-        return point if size < 0.5 * before and point.is_defined else None
+        return point if size < 0.75 * before and point.is_defined else None
 
     def search(self, target: Aim) -> Linearization | None:
         """Return the first point on the way to the target that is better."""
@@ -261,7 +264,6 @@ class JosephyNewton(Algorithm):
         """Return the measure that must fall: the size, and then the componentwise test."""
         size = self.size_of(point)
         if point.is_small(self.settings):
-            size *= min(
-                1.0, float(point.measure(self.settings).by_row.componentwise.max(initial=0.0))
-            )
+            rows = point.measure(self.settings).by_row
+            size *= 0.0 if rows is None else min(1.0, max_norm(rows.componentwise))
         return size

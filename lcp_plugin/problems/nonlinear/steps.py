@@ -138,18 +138,14 @@ def lcp_step(
 def small_step(M: Vector, w: Vector, lower: Vector, upper: Vector, scale: Vector) -> Vector | None:
     """Return d with lower ≤ d ≤ upper complementary to M d + w, to half of the residual of 0; None if the search fails.
 
-    The active set of 0 is tried first; d is returned at once if that is the active set of d.
+    The active set of 0 is tried first; d is returned at once if only rounding errors are left.
     """
     step = w / scale
     most = 0.5 * max_norm(clip(step, -upper, -lower))
     side = np.where(step >= -lower, LOW, FREE + (step <= -upper))
     d = active_point(M, w, lower, upper, side)
-    above, below, step = d - lower, d - upper, (M @ d + w) / scale
-    if np.logical_and.reduce(np.where(step >= above, LOW, FREE + (step <= below)) == side):
-        residual = np.abs(clip(step, below, above))
-        is_right = (residual <= NEGLIGIBLE * most) & (above >= 0.0) & (below <= 0.0)
-        if np.logical_and.reduce(is_right):
-            return d
+    if max_norm(clip((M @ d + w) / scale, d - upper, d - lower)) <= NEGLIGIBLE * most:
+        return d  # within the bounds up to this residual
     best, least, zero = None, most, np.zeros(w.size)
     data = RowData(M, M, w, lower, upper, scale, None, zero)
 

@@ -13,7 +13,6 @@ BENCHMARKS = {
     "multigrid": "multigrid and auto on obstacle, bearing, wind, jumps … against a linear solve by pyamg",
     "small": "small dense problems, one by one and in batches, next to a compiled Lemke",
     "cones": "contact with exact friction cones: a batch, from scratch, warm, and its gradient",
-    "data": "least squares with x ≥ 0, lasso and support vectors, next to scipy's nnls and scikit-learn",
     "public": "published problems by several packages: solved, wrong, unsolved, time; FILE gets all outcomes as JSON",
 }
 

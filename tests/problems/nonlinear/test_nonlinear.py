@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import dataclasses
 from typing import Any
 
 import numpy as np
@@ -14,16 +13,7 @@ from inputs import nonlinear_models as models
 from nonlinear_families import KINDS, planted
 from tools.refusals import assert_refused, refusals
 
-from lcp_plugin import (
-    LCP,
-    NonlinearProblem,
-    NotConverged,
-    Result,
-    Status,
-    UnknownAlgorithm,
-    derivative,
-    solve,
-)
+from lcp_plugin import LCP, NonlinearProblem, NotConverged, Result, Status, UnknownAlgorithm, solve
 from lcp_plugin.judges.lcp import RowData
 from lcp_plugin.problems.nonlinear.data import Linearization
 from lcp_plugin.problems.nonlinear.steps import small_step
@@ -548,36 +538,6 @@ def test_an_unknown_that_no_active_row_depends_on_is_excused():
     v = solved(result)
     np.testing.assert_allclose(np.minimum(v[:2], F(v)[:2]), 0.0, atol=1e-8)
     assert result.z[3] == 0.0
-
-
-# --- derivatives -------------------------------------------------------------------------------------------------
-
-
-@settings.get_profile("few")
-@given(SEEDS)
-def test_derivatives_are_those_of_solved_problems(seed):
-    """jvp(dq=dF) is the difference quotient of re-solved problems, and vjp its transpose."""
-    rng = np.random.default_rng(seed)
-    n, step = int(rng.integers(1, 6)), 2.0**-20
-    one = planted(rng, "monotone polynomial", n)
-    one = dataclasses.replace(one, M=one.M + np.eye(n), c=one.c - one.x)
-    dF = rng.standard_normal(n)
-
-    def answer(shift):
-        moved = NonlinearProblem(
-            lambda x: one.F(x) + shift * dF, one.jacobian, one.lower, one.upper
-        )
-        return solve(moved, x0=one.x, tolerance=1e-13)
-
-    found = derivative(answer(0.0))
-    if found.degenerate.size:
-        return
-    dx = found.jvp(dq=dF)
-    np.testing.assert_allclose(
-        dx, (answer(step).z - answer(-step).z) / (2 * step), rtol=1e-5, atol=1e-6
-    )
-    g = rng.standard_normal(n)
-    assert found.vjp(g).q @ dF == pytest.approx(g @ dx, rel=1e-9, abs=1e-12)
 
 
 @pytest.mark.parametrize("k", [1, 3, 8, 20])

@@ -102,30 +102,6 @@ def test_degenerate_programs_are_refused_by_the_name_of_the_part(draws):
         assert np.isfinite(found.one_sided().vjp(result.x).c).all()
 
 
-def test_the_derivative_of_a_program_is_that_of_clarabel():
-    """20 random programs, by central differences of Clarabel's solutions."""
-    clarabel = pytest.importorskip("clarabel")
-
-    def solved(data):
-        n, settings = data["c"].size, clarabel.DefaultSettings()
-        settings.verbose = False
-        settings.tol_gap_abs = settings.tol_gap_rel = settings.tol_feas = 1e-13
-        rows = sp.csc_array(np.vstack([data["A"], data["G"], -np.eye(n), np.eye(n)]))
-        limits = np.concatenate([data["b"], data["h"], -data["lower"], data["upper"]])
-        p = data["b"].size
-        cones = [clarabel.ZeroConeT(p), clarabel.NonnegativeConeT(limits.size - p)]
-        P = sp.csc_array(np.triu(data["P"]))
-        return np.array(
-            clarabel.DefaultSolver(P, data["c"], rows, limits, cones, settings).solve().x
-        )
-
-    for seed in range(20):
-        data = differentiable_program(1000 + seed)
-        d = changes(data, seed)
-        ahead, behind = (solved(shifted(data, d, s)) for s in (1e-5, -1e-5))
-        agree(derivative(solve(QuadraticProgram(**data))), (ahead - behind) / 2e-5, d, 1e-5)
-
-
 @refusals(r"""
 derivative(solve(several)).vjp([1.0, 0.0]) → UnsuitableProblem: several values: coal, gas
 derivative(solve(twice)).jvp(db=[1.0, 1.0]) → UnsuitableProblem: row 0 of A, row 1 of A; .*dependent

@@ -336,51 +336,56 @@ def test_the_advice_for_a_batch_of_other_classes_works_as_it_is_written():
 
 
 def cases_of_each_class(rng: np.random.Generator) -> dict[str, tuple]:
-    """Return a problem, its solve, and the data that a derivative of each class is by; solutions next to kinks."""
+    """Return what states a problem of each class, and the data that its derivative is by; solutions next to kinks."""
     A, b = rng.normal(size=(6, 6)), rng.normal(size=6)
     M, z, w = A @ A.T + np.eye(6), np.abs(b), np.array([0, 0, 1.0, 1e-3, 5e-7, 0])
     z[w > 0] = 0.0
     z[5] = 5e-7
-    q = w - M @ z
-    P, G, h = M, A[:2], A[:2] @ z + [0.0, 5e-7]
-    of_rows = {"P": (6, 6), "c": (6,), "G": (2, 6), "h": (2,)}
-    of_squares = {"A": (6, 6), "b": (6,), "l1": (6,), "weights": (6,), "ridge": ()}
-    bounds, of_lcp = {"lower": (6,), "upper": (6,)}, {"M": (6, 6), "q": (6,)}
-    lcp, contact = LCP(M, q), FrictionalContact(M, q, [0.5, 0.5])
-    program = QuadraticProgram(P, q - G[0], G, h, lower=0)
-    squares = BoundedLeastSquares(
-        A, A @ z - np.linalg.solve(A.T, w), l1=np.array([0, 1, 0, 0, 0, 0])
-    )
-    of_contact = {"M": (6, 6), "q": (6,), "friction": (2,)}
+    q, G, mu, ridge, l1 = w - M @ z, A[:2], np.full(2, 0.5), 0.1, np.full(6, 0.5)
+    bounds, of_lcp = {"lower": np.zeros(6), "upper": np.full(6, np.inf)}, {"M": M, "q": q}
+    of_rows = {"P": M, "c": q - G[0], "G": G, "h": G @ z + [0.0, 5e-7]}
+    x = z + 0.25  # an l1 makes 0 a kink
+    of_squares = {"b": A @ x - np.linalg.solve(A.T, w - ridge * x - l1), "weights": np.ones(6)}
+    of_squares |= {"A": A, "l1": l1, "ridge": ridge, **bounds, "lower": np.full(6, 0.25)}
+    cones = [("second_order", 3), ("nonnegative", 3)]
+
+    def curved(q, lower, upper):
+        return NonlinearProblem(
+            lambda x: M @ x + x**3 - z**3 + q, lambda x: M + np.diag(3 * x**2), lower, upper
+        )
+
     return {
-        "LCP": (lcp, of_lcp | bounds),
-        "NonlinearProblem": (
-            NonlinearProblem(lambda x: M @ x + q, lambda x: M),
-            {"q": (6,)} | bounds,
+        "LCP": (LCP, of_lcp | bounds),
+        "NonlinearProblem": (curved, {"q": q} | bounds),
+        "FrictionalContact": (
+            lambda M, q, friction: FrictionalContact((M + M.T) / 2, q, friction),
+            of_lcp | {"friction": mu},
         ),
-        "FrictionalContact": (contact, of_contact),
-        "ConeProblem": (ConeProblem(M, q, [("second_order", 3), ("nonnegative", 3)]), of_lcp),
-        "QuadraticProgram": (program, of_rows | bounds),
-        "BoundedLeastSquares": (squares, of_squares | bounds),
+        "ConeProblem": (lambda M, q: ConeProblem(M, q, cones), of_lcp),
+        "QuadraticProgram": (QuadraticProgram, of_rows | bounds),
+        "BoundedLeastSquares": (BoundedLeastSquares, of_squares),
     }
 
 
 @pytest.mark.parametrize("is_batch", [False, True])
 @pytest.mark.parametrize("name", cases_of_each_class(np.random.default_rng(0)))
-def test_in_every_class_jvp_and_vjp_are_transposes(name, is_batch):
-    """⟨g, J d⟩ = ⟨Jᵀg, d⟩ by all data at once, for solutions 1e-3 and 5e-7 from a kink, alone and in a batch."""
+def test_in_every_class_jvp_is_a_difference_and_vjp_its_transpose(name, is_batch):
+    """By all data at once, ⟨g, J d⟩ = ⟨Jᵀg, d⟩, for solutions 1e-3 and 5e-7 from a kink, alone and in a batch."""
     for seed in range(5):
         rng = np.random.default_rng([7, seed])
-        problem, shapes = cases_of_each_class(rng)[name]
+        state, data = cases_of_each_class(rng)[name]
+        problem, options = state(**data), {"tolerance": 1e-13}
+        options |= {"x0": np.ones(6)} if name == "NonlinearProblem" else {}
         if is_batch and name in ("NonlinearProblem", "ConeProblem"):
             return
         if is_batch and name == "FrictionalContact":
-            problem = FrictionalContact.worlds(problem.W, problem.b[None], [0.5, 0.5])
-            result = solve_batch(problem, tolerance=1e-12)
+            problem = FrictionalContact.worlds(problem.W, problem.b[None], problem.friction)
+            result = solve_batch(problem, **options)
         else:
-            options = {"x0": np.ones(6)} if name == "NonlinearProblem" else {"tolerance": 1e-12}
             result = solve_batch([problem]) if is_batch else solve(problem, **options)
-        d = {key: rng.normal(size=shape) for key, shape in shapes.items()}
+        d = {key: rng.normal(size=np.shape(value)) for key, value in data.items()}
+        d |= {"P": d["P"] + d["P"].T} if "P" in d else {}
+        d |= {"M": d["M"] + d["M"].T} if "friction" in d else {}
         found, g = derivative(result), rng.normal(size=6)
         gradient, dz = found.vjp(g), found.jvp(**{f"d{key}": one for key, one in d.items()})
         by = {key: getattr(gradient, key) for key in d}
@@ -391,6 +396,13 @@ def test_in_every_class_jvp_and_vjp_are_transposes(name, is_batch):
         terms = [np.sum(parts[key].reshape(np.shape(d[key])) * d[key]) for key in d]
         assert np.ravel(dz) @ g == pytest.approx(
             sum(terms), abs=1e-12 * (1.0 + np.abs(terms).sum())
+        )
+        ahead, behind = (
+            solve(state(**{key: one + t * d[key] for key, one in data.items()}), **options).x
+            for t in (1e-8, -1e-8)
+        )
+        np.testing.assert_allclose(
+            np.ravel(dz), (ahead - behind) / 2e-8, atol=1e-4 * (1.0 + np.abs(dz).max())
         )
 
 

@@ -85,7 +85,7 @@ def from_qp(
 
 
 def from_contacts(
-    contacts: Any,
+    contacts: AnyMatrix,
     friction: ArrayLike,
     velocities: ArrayLike,
     directions: int = 4,

@@ -194,7 +194,7 @@ class Algorithm(ABC):
         """
         return None
 
-    def theorem(self, problem: LCP, report: Any) -> str | None:
+    def theorem(self, problem: LCP, report: object) -> str | None:
         """Return the theorem by which a method without `facts` finds a solution for every q, or None.
 
         Parameters

@@ -94,7 +94,7 @@ def _name_of(names: Naming, i: int) -> str:
 
 
 def checked_names(
-    labels: Any, rows: int | None, unknowns: int | None, *, are_pairs: bool = False
+    labels: object, rows: int | None, unknowns: int | None, *, are_pairs: bool = False
 ) -> Names:
     """Return the names of a new problem from a list for the unknowns, or a pair of lists, for rows and unknowns.
 

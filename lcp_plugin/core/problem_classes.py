@@ -168,7 +168,7 @@ class Door:
         return function if self.is_static or instance is None else MethodType(function, instance)
 
 
-def foreign_function(verb: str, model: Any) -> Callable[..., Any] | None:
+def foreign_function(verb: str, model: object) -> Callable[..., Any] | None:
     """Return the function of a verb for a model of another package; None for any other object.
 
     Examples

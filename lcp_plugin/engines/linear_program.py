@@ -11,14 +11,14 @@ from typing import Any
 import numpy as np
 import scipy.sparse as sp
 
-from ..core.checks import Array, Vector
+from ..core.checks import AnyMatrix, Array, Vector
 
 
 def highs(
     cost: Vector,
     rows: Array,
     limits: Vector,
-    equations: Any,
+    equations: AnyMatrix,
     right: Vector,
     bounds: tuple[Vector, Vector],
     **options: Any,

@@ -115,7 +115,7 @@ def panels(titles: Sequence[str], width: float | None = None) -> Iterator[list[A
         figure.set_size_inches(width, height + math.ceil(len(named) / count) * 0.17)
 
 
-def draw_curve(axes: Axes, x: Any, y: Any, label: str, look: Any, is_solved: bool) -> None:
+def draw_curve(axes: Axes, x: Array, y: Any, label: str, look: Any, is_solved: bool) -> None:
     """Draw a curve with some markers, which ends in a cross unless it is solved."""
     marks = np.unique(np.linspace(0, max(len(x) - 1, 0), 7).astype(int))
     label = label if is_solved else f"{label} ✕"

@@ -23,7 +23,7 @@ import numpy as np
 import scipy.sparse as sp
 from numpy.typing import NDArray
 
-from ..core.checks import Indices, Vector
+from ..core.checks import Array, Indices, Vector
 from ..core.entries import row_numbers
 from . import functions
 from .functions import Function
@@ -257,7 +257,7 @@ class Compiler:
         self.groups.append((level, function, arguments, key))
         return Rows({key: 1.0}, np.zeros(arguments[0].size), arguments[0].shape, level)
 
-    def elementwise(self, function: Function, left: Any, right: Any, shape: Shape) -> Rows:
+    def elementwise(self, function: Function, left: Any, right: Array, shape: Shape) -> Rows:
         """Return the product or the quotient of two operands, one of them `Rows`, broadcast to a shape."""
         is_product = function is functions.PRODUCT
         if left is right and is_product:
@@ -272,7 +272,7 @@ class Compiler:
             factor = Rows.of(right).spread(shape).offset
         return rows.scaled(factor, np.multiply if is_product else np.divide)
 
-    def product(self, left: Any, right: Any, shape: Shape) -> Rows:
+    def product(self, left: Any, right: Array, shape: Shape) -> Rows:
         """Return the matrix product of two operands, one of them `Rows`, or of stacks of matrices."""
         if left is right and len(left.shape) == 1:
             return self.emit(functions.SQUARE, left).summed(np.zeros(left.size, dtype=np.int64))

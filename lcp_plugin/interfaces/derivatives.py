@@ -8,7 +8,7 @@ import numpy as np
 import scipy.sparse as sp
 from numpy.typing import ArrayLike
 
-from ..core.checks import Vector
+from ..core.checks import Array, Vector
 from ..core.errors import InvalidOption, InvalidProblem, imported
 from ..problems.nonlinear.data import Differences, NonlinearProblem
 
@@ -18,8 +18,8 @@ def from_jax(
     *,
     lower: ArrayLike = 0.0,
     upper: ArrayLike = np.inf,
-    sparsity: Any = None,
-    names: Any = None,
+    sparsity: object = None,
+    names: object = None,
 ) -> NonlinearProblem:
     """Return the problem of a function of JAX, with its exact Jacobian.
 
@@ -90,7 +90,7 @@ def _in_double(values: Any) -> Vector:
 
 
 def from_casadi(
-    x: Any, F: Any, *, lower: ArrayLike = 0.0, upper: ArrayLike = np.inf, names: Any = None
+    x: Array, F: Any, *, lower: ArrayLike = 0.0, upper: ArrayLike = np.inf, names: Any = None
 ) -> NonlinearProblem:
     """Return the problem of an expression of CasADi, with its exact sparse Jacobian.
 

@@ -143,7 +143,7 @@ def difference(first: Any, second: Any) -> Any:
     return SumExpression([first, -second])
 
 
-def cannot_vary(expression: Any) -> bool:
+def cannot_vary(expression: object) -> bool:
     """Return whether nothing in an expression is free."""
     return next(iter(identify_variables(expression, include_fixed=False)), None) is None
 
@@ -225,12 +225,12 @@ class PyomoStatement:
         return replace(content, partner_bounds=bits)
 
 
-def certify_model(model: Any, tolerance: float, pairs: list[Any] | None = None) -> Certification:
+def certify_model(model: object, tolerance: float, pairs: list[Any] | None = None) -> Certification:
     """Return the verdict on the values of a Pyomo model; see :func:`lcp_plugin.certify`."""
     return certify_values(statement_of(model, pairs).content, tolerance)
 
 
-def file_content_of(model: Any) -> NLContent:
+def file_content_of(model: object) -> NLContent:
     """Return the content of a ``.nl`` file of a Pyomo model."""
     return statement_of(model).in_a_file
 
@@ -349,7 +349,7 @@ class _Draft:
         if not lower <= held <= upper:
             self.state(body, name, lower, upper)
 
-    def state(self, body: Any, what: Any, lower: float | None, upper: float | None) -> None:
+    def state(self, body: Any, what: object, lower: float | None, upper: float | None) -> None:
         """Add a row lower ≤ body ≤ upper."""
         body = body if is_potentially_variable(body) else difference(body, self.model.zero)
         self.states[self.model.rows.add((lower, body, upper))] = what
@@ -483,7 +483,7 @@ class PyomoAnswer:
         kept = (pair for j, pair in enumerate(pairs) if j not in added and math.isfinite(pair[1]))
         return ComponentMap(kept)
 
-    def load(self, model: Any) -> None:
+    def load(self, model: object) -> None:
         """Put values and suffixes into the model."""
         if not self.has_point:
             return

@@ -50,7 +50,7 @@ def register_with_qpsolvers() -> None:
 
 
 def solve_problem(
-    problem: Problem, initvals: Any = None, verbose: bool = False, **options: Any
+    problem: Problem, initvals: object = None, verbose: bool = False, **options: Any
 ) -> Solution:
     """Return a solution of qpsolvers, found if the residuals of the program are optimal.
 

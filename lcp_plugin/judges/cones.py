@@ -98,7 +98,7 @@ class ConeRows(RowData):
         demand: Vector = super().demand
         return self.largest(demand) if self.stack.has_friction else self.norm(demand)
 
-    def rows(self, z: Vector, w: Any = None) -> RowsAtPoint:
+    def rows(self, z: Vector, w: Array = None) -> RowsAtPoint:
         """Return the values of all laws at z, with its slack w if that is known."""
         at = super().rows(z, w)
         if not self.has_cones:

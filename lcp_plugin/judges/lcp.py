@@ -33,7 +33,7 @@ from typing import Any, ClassVar, NamedTuple
 
 import numpy as np
 
-from ..core.checks import AnyMatrix, BoolVector, Vector
+from ..core.checks import AnyMatrix, Array, BoolVector, Vector
 from ..core.entries import clip, entries_of_rows, largest_products, max_norm
 from ..core.kernels import floats
 from ..core.kernels.compilation import kernel
@@ -105,12 +105,12 @@ class RowResiduals(NamedTuple):
         The largest of `relative`.
     """
 
-    low: Any
-    high: Any
-    reference: Any
-    relative: Any
-    componentwise: Any
-    worst: Any
+    low: Array
+    high: Array
+    reference: Array
+    relative: Array
+    componentwise: Array
+    worst: Array
 
     def fails(self, tolerance: float) -> Any:
         """Return the rows that do not pass the criterion at a tolerance, bool."""
@@ -136,7 +136,7 @@ class Measured(NamedTuple):
     """
 
     z: Any
-    residual: Any
+    residual: Array
     passes: Any
     is_limited: Any = False
     rows: Any = None
@@ -286,7 +286,7 @@ class RowData:
         w, radius = compensated_product(M, np.ascontiguousarray(z).ravel(), self.q.ravel())
         return w.reshape(z.shape), radius.reshape(z.shape)
 
-    def rows(self, z: Vector, w: Any = None) -> RowsAtPoint:
+    def rows(self, z: Vector, w: Array = None) -> RowsAtPoint:
         """Return the values of all rows at z, with its slack w if that is known."""
         w = matvec(self.M, z) + self.q if w is None else w
         products = matvec(self.absolute, np.abs(z))
@@ -302,7 +302,7 @@ class RowData:
         """Return |x|; over cones the norm of each block in its rows."""
         return np.abs(x)
 
-    def is_rounding(self, w: Vector, rounding: Vector, terms: Vector, sizes: Any) -> Any:
+    def is_rounding(self, w: Vector, rounding: Vector, terms: Vector, sizes: Array) -> Any:
         """Return the rows whose slack is at their rounding level, w within `rounding` if z ran away, bool."""
         size = self.norm(w) + np.where(terms > sizes, self.norm(rounding), 0.0)
         least = NORMAL * np.minimum(self.scale, 1.0)
@@ -388,7 +388,7 @@ class RowData:
         mixed = np.where(is_better[..., np.newaxis], again.z, z)
         return self.measure_at(mixed, None, tolerance, absolute)
 
-    def measure_at(self, z: Vector, w: Any, tolerance: float, absolute: float = 0.0) -> Measured:
+    def measure_at(self, z: Vector, w: Array, tolerance: float, absolute: float = 0.0) -> Measured:
         """Measure z by the stopping criterion.
 
         Parameters
@@ -556,7 +556,7 @@ def find_rounding_rows(ends: VectorEnds, floor: Vector) -> BoolVector:
     return (ends[0] <= 4.0 * floor) & np.isfinite(floor + ends[1])
 
 
-def divide_nonnegative(numerators: Any, denominators: Any) -> Any:
+def divide_nonnegative(numerators: Array, denominators: Array) -> Any:
     """Return the quotients of numbers that are ≥ 0; only 0/0 and 0/x are 0, NaN stays NaN."""
     quotients = np.maximum(numerators / denominators, TINY)
     return np.where(numerators == 0.0, 0.0, quotients)

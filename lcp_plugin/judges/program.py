@@ -70,8 +70,8 @@ LEAST_PRICE = 2.0**-1000  # quotients by it are finite
 class KKTErrors(NamedTuple):
     """The largest error of a row of a point, and the largest gap of a component; ∞ if a number is not finite."""
 
-    primal: Any
-    gap: Any
+    primal: Array
+    gap: Array
 
     def meet(self, tolerance: float) -> Any:
         """Return whether the point is a solution: the test of programs."""
@@ -412,7 +412,7 @@ class PrimalDualPoint:
         most = parts.largest(np.where(at_bound, 0.0, pull))[parts.of_row]
         return np.minimum(self.of_y, most / self.terms.row_sizes)
 
-    def _sums(self, a: Vector, b: Vector, of_rows: Any = 0.0, other: Any = 0.0) -> Vector:
+    def _sums(self, a: Vector, b: Vector, of_rows: Array = 0.0, other: Array = 0.0) -> Vector:
         """Return the sums of the products a_j b_j over each component, and of products of its rows."""
         parts = self.terms.components
         if parts.number == 1:

@@ -12,7 +12,7 @@ import scipy.sparse as sp
 
 from ..core import deadline
 from ..core.algorithm import Algorithm, Step
-from ..core.checks import Array, Vector
+from ..core.checks import Array, Indices, Vector
 from ..core.entries import largest_in_rows, max_norm, row_numbers, unbounded, with_entries
 from ..core.lcp import LCP
 from ..core.matrix import Matrix, fact
@@ -138,7 +138,7 @@ class MonotoneProgram:
     problem: LCP
     statement: ProgramData
     size: float
-    unknowns: Any
+    unknowns: Indices
     multipliers: Array
     anchor: Vector
 

@@ -25,7 +25,7 @@ import numpy as np
 from numpy.linalg import LinAlgError
 
 from ..core.algorithm import Algorithm, Step
-from ..core.checks import AnyMatrix, Array, BoolVector, Vector, read_only
+from ..core.checks import AnyMatrix, Array, BoolVector, Indices, Vector, read_only
 from ..core.entries import clip, residual_scales, unbounded
 from ..core.kernels.compilation import kernel
 from ..core.kernels.floats import FREE, HIGH, INF, LOW, SMALLEST
@@ -170,7 +170,7 @@ def has_numba() -> bool:
 
 
 def solve_stack(
-    M: Vector, q: Vector, lower: Any, upper: Any, starts: Any = None, *, tolerance: float
+    M: Vector, q: Vector, lower: Array, upper: Array, starts: Array = None, *, tolerance: float
 ) -> tuple[Vector, Vector, Any, BoolVector]:
     """Return points of problems (B, n) by the compiled loop.
 
@@ -210,7 +210,7 @@ def solve_stack(
 
 
 def _bounded_points(
-    M: Vector, q: Vector, lower: Any, upper: Any, start: Any, sides: Any, tolerance: float
+    M: Vector, q: Vector, lower: Array, upper: Array, start: Array, sides: Array, tolerance: float
 ) -> tuple[Vector, Vector]:
     """Return the points of active sets and bounds of their residuals, by kernels; NaN and ∞ if a system is singular."""
     (count, n), z = q.shape, active_set_points(M, q, lower, upper, sides)
@@ -270,7 +270,7 @@ def arrays_of_one(problem: LCP) -> tuple[Vector, Vector, Vector, Vector, Vector]
     return M[None], q[None], lower[None], upper[None], start[None]
 
 
-def _select(arrays: Any, items: Any) -> list[Any]:
+def _select(arrays: Array, items: Indices) -> list[Any]:
     """Return these problems of arrays, C-contiguous and read-only; an array of length 1 applies to all."""
     are_all = items.size == len(arrays[1])
     selected = (array if are_all or len(array) == 1 else array[items] for array in arrays)
@@ -353,7 +353,7 @@ def tilts(n: int) -> Vector:
     return read_only(np.random.default_rng(1).uniform(1.0, 2.0, n))
 
 
-def active_set_points(M: Vector, q: Vector, lower: Any, upper: Any, sides: Any) -> Vector:
+def active_set_points(M: Vector, q: Vector, lower: Array, upper: Array, sides: Array) -> Vector:
     """Return z_i at the bound that `sides` names, w_i = 0 if FREE, shape (B, n); NaN if its system is singular."""
     (count, n), z = q.shape, np.empty(q.shape)
     data = _select((M, q, lower, upper, sides), np.arange(count))
@@ -387,7 +387,7 @@ def guess(data: RowData) -> Vector | None:
     return z
 
 
-def active_point(M: Vector, q: Vector, lower: Any, upper: Vector, side: Any) -> Vector:
+def active_point(M: Vector, q: Vector, lower: Vector, upper: Vector, side: Indices) -> Vector:
     """Return z, z_i at the bound that `side` names, w_i = 0 if FREE; by least squares if that system is singular."""
     free = (side == FREE).nonzero()[0]
     z: Vector = np.where(side == HIGH, upper, lower)

@@ -29,7 +29,7 @@ from cvxpy.error import SolverError
 from cvxpy.reductions.eliminate_pwl.canonicalizers import CANON_METHODS
 from numpy.typing import NDArray
 
-from ..core.checks import normalize_bounds
+from ..core.checks import Array, normalize_bounds
 from ..core.errors import UnsupportedModel
 from ..core.names import UNLABELED, listed
 from ..expressions.rows import uniform
@@ -196,8 +196,8 @@ def name_of(expression: cp.Expression) -> str:
 def attribute_bounds(variable: cp.Variable) -> tuple[Any, Any]:
     """Return the bounds that a variable's attributes state: nonneg, pos, nonpos, neg, bounds."""
     attributes = variable.attributes
-    lower: Any = 0.0 if attributes.get("nonneg") or attributes.get("pos") else -np.inf
-    upper: Any = 0.0 if attributes.get("nonpos") or attributes.get("neg") else np.inf
+    lower: Array = 0.0 if attributes.get("nonneg") or attributes.get("pos") else -np.inf
+    upper: Array = 0.0 if attributes.get("nonpos") or attributes.get("neg") else np.inf
     if (stated := attributes.get("bounds")) is not None:
         low, high = (bound_value(bound, variable) for bound in stated)
         lower, upper = np.maximum(lower, low), np.minimum(upper, high)

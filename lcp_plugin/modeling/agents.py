@@ -420,7 +420,7 @@ class Convexity:
                     pending.extend(self.model.reader.compiler.groups[-1 - key][2])
         return unknowns
 
-    def _hessians(self, term: Any, shape: Any, columns: Any) -> list[Any] | None:
+    def _hessians(self, term: Any, shape: Any, columns: object) -> list[Any] | None:
         """Return the Hessian of each row in some unknowns; None if a row is not quadratic."""
         try:
             rows = self.model.reader.rows(term).spread(shape)

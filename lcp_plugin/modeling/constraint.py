@@ -13,7 +13,7 @@ from cvxpy.constraints.constraint import Constraint
 from cvxpy.constraints.nonpos import Inequality, NonNeg
 from cvxpy.constraints.zero import Equality, Zero
 
-from ..core.checks import fill
+from ..core.checks import Array, fill
 from ..core.errors import InvalidProblem, UnsupportedModel
 from ..problems.cones.frictional_contact import dimension_of
 from ._compat import by_id
@@ -22,7 +22,7 @@ from .model import Side, cone_expression, pair_residual
 REMEDY = 'solve it with problem.solve(method="LCP")'
 
 
-def box(expression: cp.Expression, lower: Any, upper: Any) -> Side:
+def box(expression: cp.Expression, lower: Array, upper: Array) -> Side:
     """Return the condition lower ≤ expression ≤ upper, as one side of a complementarity.
 
     Parameters
@@ -41,7 +41,7 @@ def box(expression: cp.Expression, lower: Any, upper: Any) -> Side:
     return Side(_expression(expression, "the expression of box"), "box", None, lower, upper)
 
 
-def friction_cone(impulses: object, friction: Any, *, dimension: int | None = None) -> Side:
+def friction_cone(impulses: object, friction: Array, *, dimension: int | None = None) -> Side:
     """Return Coulomb's law ‖r_T‖ ≤ μ r_N, as one side of a complementarity; the other side are the velocities.
 
     Parameters

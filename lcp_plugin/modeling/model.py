@@ -17,7 +17,7 @@ from cvxpy import settings
 from cvxpy.problems.problem import SolverStats
 from cvxpy.reductions.solution import Solution
 
-from ..core.checks import AnyMatrix, Indices, Vector, normalize_bounds
+from ..core.checks import AnyMatrix, Array, Indices, Vector, normalize_bounds
 from ..core.errors import NotSquare, UnsupportedModel, warn
 from ..core.lcp import LCP
 from ..expressions.rows import Rows, as_matrix, is_definition
@@ -52,9 +52,9 @@ class Side:
     expression: cp.Expression
     form: str
     constraint: Any = None
-    lower: Any = None
-    upper: Any = None
-    friction: Any = None
+    lower: Array = None
+    upper: Array = None
+    friction: Array = None
     rows: int = 0
 
     def __str__(self) -> str:
@@ -191,7 +191,7 @@ class ReadSide(NamedTuple):
 
     rows: Rows
     columns: Any
-    weights: Any
+    weights: Array
     shift: Any
     low: Vector
     high: Vector
@@ -357,7 +357,7 @@ class Model:
         self._report(pair, (side, other), columns, sign, scale, offset, expression)
 
     def _report(
-        self, pair: TwoSides, sides: Any, columns: Indices, sign: Any = 1.0, *value: Any
+        self, pair: TwoSides, sides: Any, columns: Indices, sign: float = 1.0, *value: Any
     ) -> None:
         """Report w for the pair and the variable's constraint, the variable for w's constraint."""
         shape = pair.first.expression.shape

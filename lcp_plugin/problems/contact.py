@@ -36,7 +36,7 @@ import scipy.sparse as sp
 from numpy.typing import ArrayLike, NDArray
 
 from ..core import checks
-from ..core.checks import checked_vector, is_number, real_array, rectangular_matrix
+from ..core.checks import Array, checked_vector, is_number, real_array, rectangular_matrix
 from ..core.errors import InvalidProblem, warn
 from ..solving.result import Result
 
@@ -83,7 +83,7 @@ class ContactMotion:
     equations: FloatArray | None = None
 
 
-def motion_of(r: Any, u: Any, b: Any, d: int, p: int = 0, after: Any = None) -> ContactMotion:
+def motion_of(r: Array, u: Array, b: Array, d: int, p: int = 0, after: Any = None) -> ContactMotion:
     """Return impulses r and velocities u, shape (…, d k + p) each, as a motion; b: velocities without impulses."""
     r, of_equations = np.split(r, [r.shape[-1] - p], axis=-1)
     r, u = (rows.reshape(*rows.shape[:-1], -1, d) for rows in (r, u[..., : r.shape[-1]]))
@@ -224,7 +224,7 @@ class Contacts:
 
 
 def contact_data(
-    contacts: Any,
+    contacts: object,
     friction: ArrayLike,
     velocities: ArrayLike,
     directions: int = 4,
@@ -351,7 +351,7 @@ def checked_friction(friction: ArrayLike, k: int, need: str = "one a contact") -
     return mu
 
 
-def is_of_bodies(contacts: Any) -> bool:
+def is_of_bodies(contacts: object) -> bool:
     """Return whether these are (mass matrix, normals, tangents) rather than W."""
     is_list = isinstance(contacts, list) and len(contacts) == 3 and np.ndim(contacts[0]) == 2
     return is_list or isinstance(contacts, tuple)

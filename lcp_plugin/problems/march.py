@@ -793,7 +793,7 @@ class MarchDerivative:
     def jvp(
         self,
         *,
-        dM: Any = None,
+        dM: AnyMatrix = None,
         dforcing: Array = None,
         dpropagator: object = None,
         dz0: Array = None,

@@ -143,7 +143,7 @@ class PreparedLCP(PreparedProblem[LCP]):
         make = partial(self._record, known, near, z, clock.read())
         return Result.of_known(make, z=z, status=Status.SOLVED, _asked=self._method)
 
-    def _record(self, data: Any, near: Vector, z: Vector, seconds: float) -> Result:
+    def _record(self, data: dict[str, Any], near: Vector, z: Vector, seconds: float) -> Result:
         """Return the result of the short way with all fields."""
         problem = self.problem.with_data(**data) if data else self.problem
         is_start = (z == near).all()
@@ -157,7 +157,7 @@ def is_plain(values: object, *shape: int) -> bool:
     return type(values) is np.ndarray and values.dtype == DOUBLE and values.shape == shape
 
 
-def copied(values: Any, name: str, *shape: int) -> Vector:
+def copied(values: object, name: str, *shape: int) -> Vector:
     """Return a read-only copy; other values than doubles of this shape are checked and converted to a vector.
 
     NaN and infinities in doubles stay, and do not pass the test of the short way.
@@ -215,7 +215,7 @@ class PreparedProgram(PreparedProblem[QuadraticProgram]):
         make = partial(self._record, clock.read())
         return QuadraticProgramResult.of_known(make, solution=solution, status=Status.SOLVED)
 
-    def _solution(self, data: Any, x: Vector, y: Vector) -> QPSolution:
+    def _solution(self, data: list[Any], x: Vector, y: Vector) -> QPSolution:
         return QPSolution.from_reduced(self.problem.with_vectors(*data), x, y)
 
     def _record(self, seconds: float) -> QuadraticProgramResult:

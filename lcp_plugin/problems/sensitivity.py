@@ -287,7 +287,7 @@ class ManyDerivatives:
         values = np.zeros(is_there.shape[1]) if values is None else values
         return self._checked(values, name, is_there)
 
-    def _changed(self, dM: AnyMatrix, dq: Any) -> Any:
+    def _changed(self, dM: AnyMatrix, dq: Array) -> Any:
         """Return dM z + dq of each problem."""
         change = self._rows(dq, "dq")
         if dM is None:
@@ -300,7 +300,7 @@ class ManyDerivatives:
         is_there = is_row[:, :, np.newaxis] & is_row[:, np.newaxis]
         return matvecs(self._checked(dM, "dM", is_there), z) + change
 
-    def _jvp(self, dM: AnyMatrix, dq: Any, **others: Any) -> Any:
+    def _jvp(self, dM: AnyMatrix, dq: Array, **others: Any) -> Any:
         """Return the changes dz for changes of the data, shape (B, n)."""
         changes = {"dq": self._changed(dM, dq)}
         changes |= {name: self._rows(values, name) for name, values in others.items()}
@@ -315,7 +315,7 @@ class ManyDerivatives:
         self._fill([dz], lambda part: part.changes(*(rows[part.items] for rows in tables)), alone)
         return dz
 
-    def vjp(self, g: Any, gw: Any = None) -> BatchGradient:
+    def vjp(self, g: Array, gw: Array = None) -> BatchGradient:
         """Return the gradients of functions L_k(z_k, w_k) of each solution by the data.
 
         Parameters
@@ -358,7 +358,7 @@ class ManyDerivatives:
         z = np.where(by_q.any(axis=1)[:, np.newaxis], self.z, 0.0)
         return self.batch.problems.outer(by_q, z)
 
-    def _checked(self, values: object, name: str, is_there: Any) -> Any:
+    def _checked(self, values: object, name: str, is_there: BoolVector) -> Any:
         """Return an array like `is_there`, 0 for absent entries; one row applies to all."""
         shape, row_shape = is_there.shape, is_there.shape[1:]
         row = {"dM": "n, n", "dfriction": "k,"}.get(name, "n,")
@@ -599,7 +599,7 @@ class ContactBatchDerivative(ManyDerivatives):
         return parts
 
     @checks.changes_by_name
-    def jvp(self, *, dq: Any = None, dM: AnyMatrix = None, dfriction: Any = None) -> Any:
+    def jvp(self, *, dq: Array = None, dM: AnyMatrix = None, dfriction: Array = None) -> Any:
         """Return the changes dz for changes of the data, shape (B, n); one-sided at a kink.
 
         Parameters
@@ -612,7 +612,7 @@ class ContactBatchDerivative(ManyDerivatives):
         """
         return self._jvp(dM, dq, dfriction=dfriction)
 
-    def dw(self, dz: ArrayLike, *, dq: Any = None, dM: AnyMatrix = None) -> Any:
+    def dw(self, dz: ArrayLike, *, dq: Array = None, dM: AnyMatrix = None) -> Any:
         """Return the changes of the velocities w = W z + b for changes dz of z, shape (B, n)."""
         dw = matvecs(self.instances.W, self._rows(dz, "dz")) + self._changed(dM, dq)
         dw[[*self.errors]] = np.nan
@@ -797,7 +797,7 @@ def _derivative_of_batch(batch: BatchAnswers) -> Any:
     )
 
 
-def _derivative_of_program(data: Any, z: Any, batch: Any = None) -> ProgramDerivative:
+def _derivative_of_program(data: Any, z: Array, batch: Any = None) -> ProgramDerivative:
     """Return the derivative of a program or least squares problem, or of a batch, at the z of its conditions."""
     problem = data.problem(partial(Stacked, z0=None))
     if batch is None:
@@ -914,7 +914,7 @@ class Derivative(LinearizedSystem):
     @np.errstate(all="ignore")
     @checks.changes_by_name
     def jvp(
-        self, *, dM: AnyMatrix = None, dq: Any = None, dlower: Any = None, dupper: Any = None
+        self, *, dM: AnyMatrix = None, dq: Array = None, dlower: Array = None, dupper: Array = None
     ) -> Vector:
         """Return the change dz of z for changes of the data; one-sided if rows are degenerate.
 
@@ -951,7 +951,7 @@ class Derivative(LinearizedSystem):
             return one_sided(self.problem, self._rows, h, moved)
         return self.tangent(h, np.where(self._rows.free, 0.0, moved))
 
-    def dw(self, dz: ArrayLike, *, dM: AnyMatrix = None, dq: Any = None) -> Vector:
+    def dw(self, dz: ArrayLike, *, dM: AnyMatrix = None, dq: Array = None) -> Vector:
         """Return the change of w = M z + q for a change dz of z, shape (n,)."""
         dz = checks.checked_vector(dz, "dz", self.problem.n)
         return self._product(dz) + self._change(dM, dq)

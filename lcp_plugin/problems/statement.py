@@ -440,7 +440,7 @@ class Statement:
         """Note that unknowns which have a pair are the variable of another pair."""
         self._repeated += columns[self.is_paired[columns]].tolist()
 
-    def named(self, rows: Rows, origin: object = None, sign: Any = 1.0) -> Indices:
+    def named(self, rows: Rows, origin: object = None, sign: float = 1.0) -> Indices:
         """Return new unknowns, which an equation makes sign · rows."""
         first, free, zero = self.lower.size, np.full(rows.size, np.inf), np.zeros(rows.size)
         key, columns = 2**62 + first, np.arange(first, first + rows.size)
@@ -552,7 +552,7 @@ class Statement:
         unknown = partial(name_of_row, [(self._named, self.name)], kept)
         return Names(partial(name_of_row, named, rows), unknown)
 
-    def _not_square(self, free: Indices, equations: int, has_bounds: Any) -> UnsupportedModel:
+    def _not_square(self, free: Indices, equations: int, has_bounds: object) -> UnsupportedModel:
         """Return the error that there are not as many equations as unknowns without a pair."""
         of_pairs = sum(part.rows.size for part in self.rows if part.slacks is not None)
         counted = f", {of_pairs} of them from pairs of two expressions" if of_pairs else ""

@@ -28,7 +28,7 @@ import scipy.sparse as sp
 from numpy.typing import ArrayLike, NDArray
 
 from ..core import deadline
-from ..core.checks import AnyMatrix, Array, Vector
+from ..core.checks import AnyMatrix, Array, BoolVector, Vector
 from ..core.errors import InvalidProblem
 from ..core.kernels.floats import EPSILON, LARGEST, TINY
 from ..core.lcp import LCP
@@ -75,7 +75,7 @@ class IntegerMatrix(NamedTuple):
     exponent: int
 
     @classmethod
-    def of(cls, csr: Any, rows: Sequence[int] | None = None) -> IntegerMatrix:
+    def of(cls, csr: AnyMatrix, rows: Sequence[int] | None = None) -> IntegerMatrix:
         """Return a CSR array of finite doubles as integers, or only some of its rows."""
         kept, numbers = (csr, range(csr.shape[0])) if rows is None else (csr[rows], rows)
         whole, exponent = integers(np.asarray(kept.data))
@@ -562,22 +562,22 @@ def sum_above(a: Any, b: Array) -> Vector:
     return _choice(error <= 0.0, total, _above(total))
 
 
-def product_above(a: Any, b: Array) -> Vector:
+def product_above(a: Array, b: Array) -> Vector:
     """Return a float64 ≥ a b, and 0 if a or b is 0."""
     return _choice(np.equal(a, 0.0) | np.equal(b, 0.0), 0.0, _above(np.multiply(a, b)))
 
 
-def quotient_above(a: Any, b: Array) -> Vector:
+def quotient_above(a: Vector, b: Array) -> Vector:
     """Return a float64 ≥ a/b for b > 0, and 0 if a is 0."""
     return _choice(np.equal(a, 0.0), 0.0, _above(np.divide(a, b)))
 
 
-def _above(value: Any) -> Vector:
+def _above(value: Vector) -> Vector:
     """Return a float64 above the value, by one or two steps; the least finite number for −∞."""
     # In [1, 2) ulps; the product underflows only if TINY is the ulp.
     return _choice(value < -LARGEST, -LARGEST, value + np.maximum(np.abs(value) * EPSILON, TINY))
 
 
-def _choice(condition: Any, yes: Any, no: Any) -> Vector:
+def _choice(condition: BoolVector, yes: Array, no: Vector) -> Vector:
     """Return ``numpy.where(condition, yes, no)``, a number of numbers."""
     return np.where(condition, yes, no)[()]

@@ -500,7 +500,7 @@ class MatrixReport:
     #: Names of the verdicts that are printed.
     claims: Iterable[str] = CLAIMS
 
-    def __init__(self, matrix: Any) -> None:
+    def __init__(self, matrix: AnyMatrix) -> None:
         matrix = getattr(matrix, "matrix", matrix)
         self.matrix = matrix if isinstance(matrix, Matrix) else Matrix(matrix)
         self.n = self.matrix.n

@@ -163,6 +163,6 @@ class RowsOnPETSc(RowsOnRanks):
         return replace(result, z=self.vector(result.z), w=self.vector(result.w))
 
 
-def _local_part(vector: Any) -> Any:
+def _local_part(vector: object) -> Any:
     """Return the local values of a Vec, without its ghosts; other objects are returned unchanged."""
     return np.array(vector.array_r) if hasattr(vector, "array_r") else vector

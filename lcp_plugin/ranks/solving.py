@@ -103,7 +103,7 @@ class RowDataOnRanks(RowData):
         super().__init__(M, size, problem.q, problem.lower, problem.upper, d)
         self.problem, self.components = problem, ComponentsOnRanks(problem)
 
-    def anywhere(self, mask: Any) -> bool:
+    def anywhere(self, mask: object) -> bool:
         """Return whether the mask is True in any row of any rank."""
         return self.problem.halo.anywhere(mask)
 

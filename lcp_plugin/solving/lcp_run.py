@@ -6,7 +6,6 @@ import math
 from collections.abc import Iterator
 from functools import cached_property
 from itertools import chain, islice
-from typing import Any
 
 import numpy as np
 
@@ -213,7 +212,7 @@ class LCPRun(Run):
         point = self.measured(self.z)
         return bool(point.passes or point.is_limited) and point.residual <= GAINED
 
-    def end_of_proof(self, proof: Any) -> Status | None:
+    def end_of_proof(self, proof: object) -> Status | None:
         """Keep a proof; the run ends if it excludes the tolerance, or if only the rounding of the data is left."""
         end = super().end_of_proof(proof)
         if end is None and self.best is not None and self._is_within_rounding_of_data(self.z):

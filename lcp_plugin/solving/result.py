@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any, ClassVar, NamedTuple, Self, TypeVar
 import numpy as np
 
 from ..core.algorithm import Algorithm
-from ..core.checks import MadeOnAccess, Vector, fill, read_only, restore_state
+from ..core.checks import Array, MadeOnAccess, Vector, fill, read_only, restore_state
 from ..core.errors import NotConverged, UnsuitableMatrix
 from ..core.lcp import LCP
 from ..core.names import Names, format_count, remark_on_labels
@@ -77,7 +77,7 @@ Callback = Callable[[Sample, Any], Any]
 R = TypeVar("R", bound="BaseResult")
 
 
-def end_at_once(sample: Sample, z: Any) -> bool:
+def end_at_once(sample: Sample, z: Array) -> bool:
     """End a run at its start: the callback of a run whose user ended it there."""
     return True
 

@@ -479,7 +479,7 @@ class Run:
             stage.ending = ""
         return end
 
-    def _take(self, stage: Stage, step: Any) -> Status | None:
+    def _take(self, stage: Stage, step: Step) -> Status | None:
         """Count, measure and report one step; return why the stage ends with it, or None."""
         progress = self.progress
         if not isinstance(step, Step):  # of an algorithm from outside

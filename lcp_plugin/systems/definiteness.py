@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 import scipy.sparse as sp
 
-from ..core.checks import AnyMatrix, Vector
+from ..core.checks import AnyMatrix, FloatMatrix, Vector
 from ..core.entries import count_entries, max_norm, row_numbers, scale_by
 from ..core.kernels.floats import EPSILON, OUTWARD, UNDERFLOW, UNIT
 from ..core.rounding import gamma
@@ -178,7 +178,7 @@ def scaled_to(P: AnyMatrix, scale: Vector) -> Any:
     return scaled if np.isfinite(scaled.data).all() else None
 
 
-def factorized(unit: Any, shift: float) -> PositiveFactor | None:
+def factorized(unit: FloatMatrix, shift: float) -> PositiveFactor | None:
     """Return a factorization of unit + shift·I with positive pivots, or None if there is none.
 
     Parameters

@@ -49,7 +49,7 @@ class LinearizedSystem:
         return x
 
     @np.errstate(all="ignore")
-    def tangent(self, h: Vector, held: Array = None, more: Any = 0.0) -> Any:
+    def tangent(self, h: Vector, held: Array = None, more: Array = 0.0) -> Any:
         """Return dz.
 
         Parameters

@@ -46,10 +46,10 @@ def _numba() -> Any:
     class Seconds(event.Listener):
         """Sum of the seconds of a thread for compilation, for loading cached code, and for waiting on a thread."""
 
-        def on_start(self, event: Any) -> None:
+        def on_start(self, event: object) -> None:
             compilation().begin()
 
-        def on_end(self, event: Any) -> None:
+        def on_end(self, event: object) -> None:
             compilation().end()
 
     event.register("numba:compiler_lock", Seconds())  # type: ignore[no-untyped-call]
@@ -142,12 +142,12 @@ def uses(function: Any) -> str:
     return f"{text}{code.co_code.hex()} {[entry for entry in code.co_consts if not hasattr(entry, 'co_code')]}\n"
 
 
-def kernel(function: Any) -> Any:
+def kernel(function: object) -> Any:
     """Compile a function that Python calls, and keep the code in numba's cache if that is possible."""
     return Compiled(function, is_cached=True, **OPTIONS)
 
 
-def helper(function: Any = None, **options: Any) -> Any:
+def helper(function: object = None, **options: Any) -> Any:
     """Compile a function that only kernels call; it is cached as a part of them.
 
     Python must not call it: without a wrapper for Python objects, a call ends the process.
@@ -157,6 +157,6 @@ def helper(function: Any = None, **options: Any) -> Any:
     return Compiled(function, **(OF_HELPERS | options))
 
 
-def inline(function: Any) -> Any:
+def inline(function: object) -> Any:
     """Compile a short function whose code is inserted into the kernels that call it."""
     return helper(function, inline="always")

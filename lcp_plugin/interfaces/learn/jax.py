@@ -36,8 +36,8 @@ LCPArrays = Callable[
 
 
 def lcp_layer(
-    M: Any,
-    q: Any,
+    M: AnyMatrix,
+    q: Array,
     lower: Array = 0.0,
     upper: Array = np.inf,
     *,

@@ -201,11 +201,11 @@ class _Gradient(torch.autograd.Function):  # type: ignore[misc]
         return tuple(map(torch.from_numpy, layer.gradients(_numpy(g))))
 
     @staticmethod
-    def setup_context(ctx: Any, inputs: tuple[Any, ...], answers: tuple[Any, ...]) -> None:
+    def setup_context(ctx: object, inputs: tuple[Any, ...], answers: tuple[Any, ...]) -> None:
         """Keep nothing."""
 
     @staticmethod
-    def backward(ctx: Any, *_: Any) -> Any:
+    def backward(ctx: object, *_: Any) -> Any:
         """Reject."""
         raise UnsupportedModel(
             "a solution of an LCP has no second derivative here: z is piecewise smooth, and only its first derivative "

@@ -149,7 +149,7 @@ class TextWriter:
         """Write a letter with the numbers behind it."""
         self.out.append(f"{letter}{' '.join(map(str, numbers))}\n".encode())
 
-    def _pairs(self, indices: Any, values: Array) -> None:
+    def _pairs(self, indices: list[Any], values: Array) -> None:
         lines = zip(indices, values, strict=True)
         self.out.append("".join(f"{index} {value!r}\n" for index, value in lines).encode())
 

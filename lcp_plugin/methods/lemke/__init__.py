@@ -178,7 +178,7 @@ class Lemke(Algorithm):
                 yield box.recover(path.z), path.touched()
         return False
 
-    def _solution(self, component: LCP, box: CanonicalBox, path: Any) -> Any:
+    def _solution(self, component: LCP, box: CanonicalBox, path: LemkePath) -> Any:
         """Yield the end of a path, first solved again on the unscaled problem; return whether a point passes."""
         z = np.clip(box.recover(path.z), component.lower, component.upper)
         bounded = (component.lower > -np.inf) | (component.upper < np.inf)

@@ -119,7 +119,7 @@ class BatchRun:
         with one_blas_thread() if stacks and n > LOOP_UP_TO else nullcontext():
             run_in_chunks(solve_some, len(stacks), self.threads)
 
-    def _take(self, items: Any, z: Any, residual: Any, iterations: Any, is_solved: Any) -> None:
+    def _take(self, items: Any, z: Array, residual: Array, iterations: Any, is_solved: Any) -> None:
         """Keep the solved problems of a stack."""
         good = np.flatnonzero(is_solved & self.is_open[items])
         at = items[good]

@@ -249,7 +249,7 @@ def solve_programs(
     return rows, errors.largest, steps, errors.meet(tolerance)
 
 
-def _stack(matrices: Any) -> Any:
+def _stack(matrices: object) -> Any:
     dense = np.ascontiguousarray(as_array(matrices))
     return dense if dense.ndim == 3 else dense[np.newaxis]
 

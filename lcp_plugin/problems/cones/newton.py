@@ -109,7 +109,7 @@ def polish_points(stack: ConeStack, z: Vector) -> tuple[Any, Any]:
     return best, smallest
 
 
-def factorize_blocks(stack: ConeStack, mixed: Any, by_w: Array) -> Factors:
+def factorize_blocks(stack: ConeStack, mixed: Vector, by_w: Array) -> Factors:
     """Return a solver for (mixed + by_w M) s = right, shape (B, k, m).
 
     Raises
@@ -146,7 +146,7 @@ def factorize_blocks(stack: ConeStack, mixed: Any, by_w: Array) -> Factors:
     return Factors(solve, inverse.entries)
 
 
-def whole_systems(stack: ConeStack, mixed: Any, by_w: Array) -> Any:
+def whole_systems(stack: ConeStack, mixed: Vector, by_w: Array) -> Any:
     """Return mixed + by_w M of each problem, shape (B, n, n)."""
     pattern = stack.pattern
     row, column = pattern.inner

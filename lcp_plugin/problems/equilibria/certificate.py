@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 
 from ...core import deadline
-from ...core.checks import Vector, checked_vector
+from ...core.checks import Array, Vector, checked_vector
 from ...judges.worst_rows import WorstRow, WorstRows
 from .branch_and_bound import minimize_over_solutions
 from .equilibrium_program import EquilibriumProgram
@@ -19,7 +19,7 @@ NODES = 100  # of a search for a bound
 
 
 @np.errstate(all="ignore")
-def verdict_at(problem: EquilibriumProgram, x: Any, tolerance: float) -> dict[str, Any]:
+def verdict_at(problem: EquilibriumProgram, x: Array, tolerance: float) -> dict[str, Any]:
     """Return the fields of the verdict on x.
 
     Rows hold to the tolerance of their terms, or to FEASIBLE as in a solve if that is more; pairs and integers hold to

@@ -12,7 +12,7 @@ import scipy.sparse as sp
 from numpy.typing import ArrayLike, NDArray
 
 from ...core import checks
-from ...core.checks import AnyMatrix, Indices, Vector, checked_bounds, checked_vector
+from ...core.checks import AnyMatrix, Array, Indices, Vector, checked_bounds, checked_vector
 from ...core.entries import largest_in_rows
 from ...core.errors import InvalidProblem, LCPError, UnsupportedModel
 from ...proofs import exact
@@ -95,8 +95,8 @@ class EquilibriumProgram:
     program: QuadraticProgram
     first: Indices
     second: Indices
-    lower: Any = None
-    upper: Any = None
+    lower: Array = None
+    upper: Array = None
     integers: Any = ()
     smooth: SmoothPart | None = None
 

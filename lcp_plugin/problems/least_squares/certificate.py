@@ -126,7 +126,7 @@ def _may_be_rounding(problem: BoundedLeastSquares, cost: Array, radius: Vector, 
     return problem.is_small & (0.5 * np.vecdot(problem.apply_weights(radius), radius) > tol * cost)
 
 
-def exceeds(cost: Array, known: Any, tolerance: float) -> Any:
+def exceeds(cost: Array, known: Array, tolerance: float) -> Any:
     """Return whether a cost exceeds an upper bound of the least by more than the tolerance, or is NaN."""
     return np.logical_not(cost <= OUTWARD * (1.0 + tolerance) * known)
 

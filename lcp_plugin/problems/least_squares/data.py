@@ -14,7 +14,7 @@ import scipy.sparse as sp
 from numpy.typing import ArrayLike
 
 from ...core import checks
-from ...core.checks import AnyMatrix, Array, BoolVector, Vector, read_only
+from ...core.checks import AnyMatrix, Array, BoolVector, FloatMatrix, Vector, read_only
 from ...core.errors import InvalidOption, InvalidProblem
 from ...core.kernels.floats import EPSILON, OUTWARD, TINY
 from ...core.names import shared_labels
@@ -468,7 +468,7 @@ class Enclosures:
         return self._product(problem.A.T, sizes, weighted, radius, 0.0, terms)
 
     def _product(
-        self, B: Any, sizes: Any, v: Vector, radius: Array, less: Array, terms: int
+        self, B: FloatMatrix, sizes: FloatMatrix, v: Vector, radius: Array, less: Array, terms: int
     ) -> Ball:
         """Return B v − less for a v known up to radius, with |B| = sizes and so many terms in a row of B."""
         unsure = OUTWARD * apply_to(sizes, radius) if radius.size else 0.0

@@ -33,7 +33,7 @@ import numpy as np
 import scipy.sparse as sp
 
 from ...core import deadline
-from ...core.checks import AnyMatrix, Array, BoolVector, Vector
+from ...core.checks import AnyMatrix, Array, BoolVector, Indices, Vector
 from ...core.entries import clip
 from ...core.kernels.floats import DATA_ROUNDING, EPSILON, FEW_ROUNDINGS
 from ...core.tuning import DENSE_OPERATIONS, SPARSE_OPERATIONS
@@ -352,7 +352,7 @@ class Split(NamedTuple):
     slopes: Vector
     lower: Vector
     upper: Vector
-    kink: Any
+    kink: Indices
 
     @classmethod
     def of(cls, problem: ScaledLeastSquares, A: AnyMatrix) -> Split:

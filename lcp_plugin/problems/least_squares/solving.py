@@ -391,7 +391,7 @@ class LeastSquaresResult(BaseResult):
 
 
 @np.errstate(all="ignore")
-def verdict_at(problem: BoundedLeastSquares, x: Any, tolerance: float) -> dict[str, Any]:
+def verdict_at(problem: BoundedLeastSquares, x: Array, tolerance: float) -> dict[str, Any]:
     """Return the fields of the verdict on x: proved if SOLVED, disproved if the point of a run costs less.
 
     An x_j beyond a bound counts as on it, up to the tolerance times the largest x_k, in units of columns of length 1.

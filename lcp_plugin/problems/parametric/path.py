@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike
 
-from ...core.checks import Vector, derived_property, is_number, read_only
+from ...core.checks import Indices, Vector, derived_property, is_number, read_only
 from ...core.errors import InvalidOption, NotConverged
 from ...core.lcp import LCP
 from ...core.names import format_count
@@ -52,7 +52,7 @@ class Piece:
     end: float
     x0: Vector = field(repr=False)
     x1: Vector = field(repr=False)
-    case: Any = field(repr=False)
+    case: Indices | None = field(repr=False)
     z0: Vector = field(repr=False)
     z1: Vector = field(repr=False)
     last: Vector | None = field(default=None, repr=False)

@@ -9,7 +9,7 @@ from typing import Any
 
 import numpy as np
 
-from ...core.checks import Vector, checked_vector, is_number, read_only
+from ...core.checks import Indices, Vector, checked_vector, is_number, read_only
 from ...core.deadline import Clock
 from ...core.entries import max_norm
 from ...core.errors import InvalidOption, UnsuitableProblem, did_you_mean
@@ -388,7 +388,7 @@ class _Trace:
                 return None
         return None
 
-    def _reach_back(self, follower: Any) -> None:
+    def _reach_back(self, follower: Follower) -> None:
         """Extend the new segment back to the end of the last segment.
 
         A stretch beyond the limits of its steps becomes a separate segment, so that its statuses are computed
@@ -403,7 +403,7 @@ class _Trace:
             z, rate = follower.motion.z
             self._add(begin, t, np.array([z - (t - begin) * rate, rate]), follower.steps)
 
-    def _add(self, t: float, end: float, line: Any, steps: Any) -> None:
+    def _add(self, t: float, end: float, line: Any, steps: Indices) -> None:
         """Add a segment; record a jump or a line of solutions if the path is discontinuous."""
         path, begin, toward = self.path, self.line.theta(t), self.line.toward
         if self.problem is None:

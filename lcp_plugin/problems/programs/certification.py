@@ -19,7 +19,7 @@ import numpy as np
 import scipy.sparse as sp
 
 from ...core import deadline
-from ...core.checks import Vector, checked_vector, derived_property, is_number, restore_state
+from ...core.checks import Array, Vector, checked_vector, derived_property, is_number, restore_state
 from ...core.entries import largest_products
 from ...core.errors import InvalidOption, InvalidProblem, LCPError, did_you_mean
 from ...core.kernels.floats import LARGEST, OUTWARD
@@ -214,7 +214,7 @@ def _certify_other(
     return certify_model(problem, tolerance, pairs)
 
 
-def _check_point(problem: Any, x: Any, multipliers: Any, claim: Any, *options: Any) -> None:
+def _check_point(problem: Any, x: Vector, multipliers: Any, claim: Any, *options: Any) -> None:
     """Raise InvalidOption unless x is the only claim about a problem of pairs."""
     _check_limits(*options)
     name = type(problem).__name__
@@ -293,7 +293,7 @@ def _verdict_at(
 
 
 def claimed_point(
-    program: QuadraticProgram, x: Any, multipliers: Any
+    program: QuadraticProgram, x: Array, multipliers: object
 ) -> tuple[Vector, Vector | None]:
     """Return x, and multipliers of all constraints; for a pair, bounds get the remaining gradient."""
     if x is None:

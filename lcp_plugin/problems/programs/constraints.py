@@ -73,7 +73,7 @@ class Constraints:
         """The rows that say something."""
         return np.flatnonzero(np.isfinite(self.limit))
 
-    def split(self, values: Any) -> list[Any]:
+    def split(self, values: Vector) -> list[Any]:
         """Return the parts of values per row: of G, of A, of the lower and of the upper bounds."""
         ends = np.cumsum([0, *self.matrices.sizes]).tolist()
         return [values[begin:end] for begin, end in pairwise(ends)]

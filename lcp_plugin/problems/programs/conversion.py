@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 import scipy.sparse as sp
 
-from ...core.checks import Vector, checked_answer
+from ...core.checks import Array, Vector, checked_answer
 from ...core.entries import unbounded
 from ...core.errors import InvalidProblem, UnsuitableMatrix, UnsuitableProblem
 from ...core.lcp import LCP
@@ -101,7 +101,7 @@ def conditions(program: QuadraticProgram, names: Names | None = None) -> LCP:
     return LCP(M, q, lower=lower, upper=upper, names=names)
 
 
-def condition_vectors(c: Any, h: Any, b: Any, lower: Any, upper: Any) -> tuple[Any, Any, Any]:
+def condition_vectors(c: Any, h: Any, b: Array, lower: Array, upper: Array) -> tuple[Any, Any, Any]:
     """Return q, lower and upper of the conditions, for vectors of one program or with an axis for many."""
     is_limit = np.isfinite(h)
     q = np.concatenate([c, np.where(is_limit, h, 0.0), b], axis=-1)

@@ -10,7 +10,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from ...core import deadline
-from ...core.checks import Vector
+from ...core.checks import Array, Vector
 from ...core.entries import clip
 from ...core.errors import InvalidOption, UnsuitableProblem
 from ...engines import engine_class, is_installed, scaling
@@ -40,7 +40,7 @@ def sides_about_one(data: ProgramData, matrices: ProgramMatrices) -> Scaled:
     return map(scaling.with_sides_about_one, _without_far_limits(data, matrices.largest_units))
 
 
-def _without_far_limits(data: ProgramData, scales: Any) -> Scaled:
+def _without_far_limits(data: ProgramData, scales: Array) -> Scaled:
     """Return the scaled program; first without very large limits, if it has some."""
     scaled = scaling.ScaledProgram.from_units(data, *scales).with_modest_costs()
     near = scaling.without_far_limits(scaled.statement)

@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 import scipy.sparse as sp
 
-from ...core.checks import AnyMatrix, Vector
+from ...core.checks import AnyMatrix, Array, Vector
 from ...core.entries import or_one, with_entries
 
 FIT_TO = 1e-3  # of the right-hand side: enough for powers of two
@@ -50,7 +50,7 @@ def _pattern_and_logarithms(M: AnyMatrix) -> Any:
     return is_entry.astype(np.float64), np.log2(np.abs(M), where=is_entry, out=np.zeros(M.shape))
 
 
-def _conjugate_gradients(product: Callable[[Vector], Vector], diagonal: Any, b: Any) -> Vector:
+def _conjugate_gradients(product: Callable[[Vector], Vector], diagonal: Any, b: Array) -> Vector:
     """Return about A⁻¹b from products with A; scipy's loop takes ten times as long for 100 to 1000 unknowns."""
     x, residual, inverse = np.zeros(b.size), b, 1.0 / diagonal
     direction = inverse * residual

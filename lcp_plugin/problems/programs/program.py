@@ -13,7 +13,7 @@ import scipy.sparse as sp
 from numpy.typing import ArrayLike
 
 from ...core import checks
-from ...core.checks import AnyMatrix, Indices
+from ...core.checks import AnyMatrix, Array, Indices, Vector
 from ...core.entries import largest_in_rows
 from ...core.errors import InvalidProblem, UnsupportedModel
 from ...core.kernels.floats import EPSILON, UNIT
@@ -338,7 +338,7 @@ class QuadraticProgram(Problem):
 VECTORS = QuadraticProgram.vector_names
 
 
-def checked_constant(constant: Any) -> float:
+def checked_constant(constant: Array) -> float:
     """Return the constant of an objective as a float; raise InvalidProblem if it is not a finite number."""
     if not (checks.is_number(constant) and np.isfinite(constant)):
         raise InvalidProblem(f"constant must be a finite number, got {constant!r}")
@@ -510,7 +510,7 @@ class FoldedRows:
             folded = program.with_matrices(kept, program.c, h, b, lower, upper)
         return cls(program, folded, left, lower_row, upper_row, coefficient)
 
-    def multipliers(self, reduced: Any) -> Any:
+    def multipliers(self, reduced: Vector) -> Any:
         """Return the multipliers of all constraints, doubles or Fractions; rows get the multipliers of their bounds."""
         if self.reduced is self.program:
             return reduced

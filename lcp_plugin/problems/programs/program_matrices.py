@@ -13,7 +13,7 @@ import scipy.sparse as sp
 from numpy.typing import NDArray
 
 from ...core import checks
-from ...core.checks import Indices, Vector, freeze_csr, read_only
+from ...core.checks import AnyMatrix, Indices, Vector, freeze_csr, read_only
 from ...core.entries import count_entries, largest_in_rows, largest_products, or_one
 from ...core.matrix import Matrix
 from ...engines import is_installed
@@ -43,9 +43,9 @@ class ProgramMatrices:
     P, G, A : ndarray or canonical CSR array, shapes (n, n), (m, n), (p, n)
     """
 
-    P: Any
-    G: Any
-    A: Any
+    P: AnyMatrix
+    G: AnyMatrix
+    A: AnyMatrix
     _of_rows: dict[bytes, ProgramMatrices] = field(default_factory=dict, repr=False)
 
     @cached_property
@@ -265,11 +265,11 @@ def is_full(n: int, m: int, entries: Iterable[int]) -> bool:
     return 0 < n + m <= FULL_UP_TO and sum(entries) >= 0.3 * n * (n + m)
 
 
-def as_csr(matrix: Any) -> sp.csr_array:
+def as_csr(matrix: AnyMatrix) -> sp.csr_array:
     """Return an ndarray or a CSR array as a CSR array."""
     return matrix if sp.issparse(matrix) else sp.csr_array(matrix)
 
 
-def as_array(matrix: Any) -> Vector:
+def as_array(matrix: AnyMatrix) -> Vector:
     """Return a matrix as an ndarray."""
     return np.asarray(matrix.toarray() if sp.issparse(matrix) else matrix)

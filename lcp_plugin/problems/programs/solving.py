@@ -142,7 +142,7 @@ def parsed(
     return algorithm, engine, settings, options, of_solve
 
 
-def checked_start_of_program(program: QuadraticProgram, z0: Any) -> Vector:
+def checked_start_of_program(program: QuadraticProgram, z0: object) -> Vector:
     """Return a start: x, or x with the multipliers of the rows that are not bounds; raise InvalidOption for others."""
     start, n = vector_option(z0, "z0", None), program.n
     if start.size != n and start.size != (size := n + program.folded.reduced.constraints.rows):

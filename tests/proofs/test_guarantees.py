@@ -82,6 +82,9 @@ def test_what_is_proved_of_direct_methods():
         assert all(guarantee.rate is None for guarantee in found)
     assert convergence_guarantee(rotation.with_q(rotation.q, upper=1.0), "lemke").is_guaranteed
     assert "3 pivots" in convergence_guarantee(m_matrix, "lemke", max_pivots=3).theorem
+    drift = with_matrix([[2.0, -1.0], [0.0, 2.0]])
+    found = [convergence_guarantee(one, "multigrid").is_guaranteed for one in (m_matrix, drift)]
+    assert found == [True, False]
 
 
 def test_nothing_is_claimed_for_the_scaling_trap_unscaled():

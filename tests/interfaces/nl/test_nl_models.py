@@ -283,6 +283,8 @@ def test_affine_rows_are_the_lcp_that_cvxpy_states():
     assert isinstance(theirs, LCP)
     np.testing.assert_array_equal(model.problem.csr.toarray(), theirs.csr.toarray())
     np.testing.assert_array_equal(model.problem.q, theirs.q)
+    factors = model_of(paired(content_of(1, [("-", ("*", X[0], 3.0), ("*", 2.0, X[0]))])))
+    assert factors.problem.csr.toarray() == [[1.0]]
     answer = model.solve(tolerance=1e-12)
     assert answer.is_solved
     assert answer.code == 0

@@ -568,6 +568,8 @@ def bound_residual(data: RowData, z: Vector, tolerance: float, most: Any = INF) 
     A finite bound shows that the criterion accepts z, as :func:`bound_residuals` proves it for stacks; it takes half of
     the time. The factors .999 and 1.001 cover the rounding of the last lines. `most` bounds the reference of each row.
     """
+    if not z.size:
+        return INF
     origin, size = data.origin, np.abs(z)
     products, at_0, rounding_at_0 = data.absolute @ size, data.q, 0.0
     w, terms = data.M @ z + data.q, products + np.abs(data.q)

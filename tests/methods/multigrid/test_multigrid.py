@@ -218,3 +218,14 @@ def test_a_row_at_a_bound_stays_there_in_units_that_differ():
     is_near = last.z - lower <= 4.0 * np.spacing(lower)
     assert is_near.sum() > grid.n / 2
     np.testing.assert_array_equal(last.z[is_near], lower[is_near])
+
+
+def test_one_unknown_in_another_unit_costs_few_cycles():
+    """If one pressure is in millibar and the others in bar, multigrid needs at most three times the cycles."""
+    grid = gallery.obstacle_2d(size=60).problem
+    units = np.ones(grid.n)
+    units[grid.n // 2] = 4096.0
+    problem = LCP(grid.csr @ sp.diags_array(units), grid.q, lower=grid.lower / units)
+    result = solve(problem, "multigrid")
+    assert result.is_solved
+    assert result.iterations <= 3 * solve(grid, "multigrid").iterations

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import copy
-import pickle
 from collections.abc import Callable, Iterator
 from concurrent.futures import ThreadPoolExecutor
 from typing import Any
@@ -94,21 +92,11 @@ def passes_errors_on(sample: Sample) -> None:
     assert caught.value is mine
 
 
-def survives_copies(sample: Sample) -> None:
-    first = solved(sample)
-    for duplicate in (copy.deepcopy, lambda one: pickle.loads(pickle.dumps(one))):
-        again = duplicate(sample.problem)
-        assert outcome(solve(again, **sample.start)) == outcome(first)
-        assert outcome(duplicate(first)) == outcome(first)
-        assert str(duplicate(first)) == str(first)
-
-
 PROMISES: dict[str, Callable[[Sample], None]] = {
     "data stay": keeps_its_data,
     "the same bits": repeats_its_bits,
     "watching changes nothing": is_not_changed_by_watching,
     "errors of a callback arrive": passes_errors_on,
-    "copies and pickles": survives_copies,
 }
 CASES = [
     (sample, promise)

@@ -45,7 +45,7 @@ def check(problem: LCP, z: np.ndarray, exact: tuple[Fraction, ...], bound: Error
     st.booleans(),
 )
 def test_bound_holds_for_h_plus(drawn, direction, step, sharp):
-    """The bound exceeds the exact error, and rows are classified correctly for H₊-matrices."""
+    """“A rigorous bound holds for the exact solution”: near and far, and rows are classified correctly, for H₊."""
     problem, exact = drawn
     z = near(exact, direction, step)
     bound = error_bound(problem, z, sharp=sharp)

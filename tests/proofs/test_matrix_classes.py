@@ -405,7 +405,7 @@ def test_a_row_of_zeros_is_semidefinite(build):
     [(4.0, False), (np.nextafter(4.0, 0.0), True), (np.nextafter(4.0, 5.0), False)],
 )
 def test_minors_that_rounding_hides_are_settled_in_integers(entry, is_p):
-    """A minor of 0, or one unit in the last place from 0, is decided among 14 rows."""
+    """“True and False are proved”: a minor of 0, or one unit in the last place from 0, is decided among 14 rows."""
     skew = np.triu(np.random.default_rng(2).integers(-3, 4, (14, 14)), 1).astype(float)
     M = 4.0 * np.eye(14) + skew - skew.T
     M[:2, 2:], M[0, 1], M[1, 0] = 0.0, 4.0, entry

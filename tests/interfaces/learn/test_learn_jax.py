@@ -26,13 +26,7 @@ from lcp_plugin import (  # noqa: E402
 )
 from lcp_plugin.interfaces.learn.jax import contact_layer, lcp_layer, qp_layer  # noqa: E402
 
-
-@pytest.fixture(autouse=True)
-def _double_precision():
-    before = jax.config.jax_enable_x64
-    jax.config.update("jax_enable_x64", True)
-    yield
-    jax.config.update("jax_enable_x64", before)
+pytestmark = pytest.mark.usefixtures("double_precision")
 
 
 def test_examples_of_its_help():

@@ -40,24 +40,14 @@ def assert_agree(ours: QPSolution, right: QPSolution, tolerance: float) -> None:
         )
 
 
-def planted(
-    seed: int,
-    n: int = 8,
-    m: int = 4,
-    p: int = 2,
-    *,
-    rank: int | None = None,
-    bounded: bool = True,
-    sparse: bool = False,
-    singletons: int = 0,
-) -> QPSolution:
+def planted(seed: int, m: int = 4, p: int = 2, singletons: int = 0) -> QPSolution:
     """x, its active set and all multipliers are drawn; then c, h and b make them right.
 
     Each third of the rows is active, inactive and degenerate; few enough are active for unique multipliers.
     """
-    rng = np.random.default_rng(seed)
-    factor = rng.normal(size=(n, n if rank is None else rank))
-    P = factor @ factor.T + (np.eye(n) if rank is None else 0.0)
+    rng, n = np.random.default_rng(seed), 8
+    factor = rng.normal(size=(n, n))
+    P = factor @ factor.T + np.eye(n)
     G = np.vstack([rng.normal(size=(m, n)), np.zeros((singletons, n))])
     owned = rng.permutation(n)[:singletons]
     G[np.arange(m, m + singletons), owned] = rng.choice([-2.0, 3.0], singletons)
@@ -66,15 +56,12 @@ def planted(
     inequality = np.where(kind == 0, rng.uniform(1, 2, m + singletons), 0.0)
     h = G @ x + np.where(kind == 1, 1.0, 0.0)
     equality = rng.normal(size=p)
-    state = np.full(n, 1)
-    if bounded:  # the unknown of a singleton row has loose bounds
-        state[np.setdiff1d(np.arange(n), owned)[:2]] = [0, 2]
-    lower = np.where(state == 0, x, x - 1.0) if bounded else np.full(n, -np.inf)
-    upper = np.where(state == 2, x, x + 1.0) if bounded else np.full(n, np.inf)
+    state = np.full(n, 1)  # the unknown of a singleton row has loose bounds
+    state[np.setdiff1d(np.arange(n), owned)[:2]] = [0, 2]
+    lower, upper = np.where(state == 0, x, x - 1.0), np.where(state == 2, x, x + 1.0)
     at_lower, at_upper = (np.where(state == s, rng.uniform(1, 2, n), 0.0) for s in (0, 2))
     c = -(P @ x + G.T @ inequality + A.T @ equality - at_lower + at_upper)
-    wrap = sp.csr_array if sparse else np.asarray
-    program = QuadraticProgram(wrap(P), c, wrap(G), h, wrap(A), A @ x, lower, upper)
+    program = QuadraticProgram(P, c, G, h, A, A @ x, lower, upper)
     return QPSolution(program, x, inequality, equality, at_lower, at_upper)
 
 

@@ -93,12 +93,12 @@ class Settings:
     tolerance: Any = 1e-8
     max_iterations: Any = None
     max_seconds: Any = None
-    absolute_tolerance: Any = 0.0
-    record: Any = False
+    absolute_tolerance: float = 0.0
+    record: bool = False
     threads: Any = field(default=None, repr=False, compare=False)
-    verbose: Any = False
-    prove_infeasibility: Any = True
-    polish: Any = True
+    verbose: bool = False
+    prove_infeasibility: bool = True
+    polish: bool = True
 
     def __post_init__(self) -> None:
         for name, check in CHECKS.items():
@@ -126,7 +126,7 @@ MOST = 2**53  # limit of steps, nodes and threads
 OF_SOLVE = (*BESIDE, *(setting.name for setting in fields(Settings)))
 
 
-def _finite_number(value: Any, name: str) -> float:
+def _finite_number(value: float, name: str) -> float:
     if not is_number(value):
         raise InvalidOption(f"{name} must be a finite number, got {value!r}")
     if not 0.0 <= value < math.inf:
@@ -134,11 +134,11 @@ def _finite_number(value: Any, name: str) -> float:
     return float(value)
 
 
-def _seconds(value: Any, name: str) -> float:
+def _seconds(value: float, name: str) -> float:
     return math.inf if is_number(value) and value == math.inf else _finite_number(value, name)
 
 
-def checked_tolerance(value: Any, name: str = "tolerance", *, may_be_zero: bool = True) -> float:
+def checked_tolerance(value: float, name: str = "tolerance", *, may_be_zero: bool = True) -> float:
     """Return a relative tolerance in [0, 1), or in (0, 1).
 
     Raises

@@ -94,7 +94,7 @@ class Rows:
             return self
         return self.taken(entries_behind(shape, self.shape), shape)
 
-    def scaled(self, factor: Any, operation: np.ufunc = np.multiply) -> Rows:
+    def scaled(self, factor: Array, operation: np.ufunc = np.multiply) -> Rows:
         """Return the rows times, or divided by, a number or one number per row."""
         if np.ndim(factor) == 0 and factor == 1.0:
             return self
@@ -223,7 +223,7 @@ def _total(terms: list[Block], size: int) -> Block:
     return _placed([(matrix, 0, 0) for matrix in matrices], matrices[0].shape)
 
 
-def _changed(block: Block, operation: np.ufunc, factor: Any) -> Block:
+def _changed(block: Block, operation: np.ufunc, factor: Array) -> Block:
     """Return the block with changed numbers; both blocks share their indices."""
     is_number = np.ndim(factor) == 0
     if is_number and isinstance(block, float):

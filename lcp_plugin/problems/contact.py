@@ -36,7 +36,7 @@ import scipy.sparse as sp
 from numpy.typing import ArrayLike, NDArray
 
 from ..core import checks
-from ..core.checks import Array, checked_vector, is_number, real_array, rectangular_matrix
+from ..core.checks import AnyMatrix, checked_vector, is_number, real_array, rectangular_matrix
 from ..core.errors import InvalidProblem, warn
 from ..solving.result import Result
 
@@ -231,7 +231,7 @@ def contact_data(
     *,
     gaps: ArrayLike | None = None,
     time_step: float | None = None,
-    equations: Any = 0,
+    equations: int = 0,
 ) -> Contacts:
     """Return contacts with friction, checked; ``LCP(*data.arrays, lower=data.lower)`` is their problem.
 
@@ -323,12 +323,12 @@ def contact_data(
     return Contacts(W, mu, b.reshape(k, d), edges, closing, bodies, of_equations)
 
 
-def _is_whole(value: Any) -> bool:
+def _is_whole(value: int) -> bool:
     """Return whether the value is an integer and not a bool."""
     return isinstance(value, (int, np.integer)) and not isinstance(value, bool)
 
 
-def checked_count(equations: Any) -> int:
+def checked_count(equations: int) -> int:
     """Return the number of equations, which are the last rows."""
     if not _is_whole(equations) or equations < 0:
         got = f"an array of shape {np.shape(equations)}" if np.ndim(equations) else repr(equations)
@@ -546,7 +546,7 @@ def _array(values: Any, need: str) -> FloatArray:
 
 
 @np.errstate(all="ignore")
-def check_symmetric(matrix: Any, name: str, tolerance: float = 1e-8) -> None:
+def check_symmetric(matrix: AnyMatrix, name: str, tolerance: float = 1e-8) -> None:
     """Raise InvalidProblem if max |m_ij − m_ji| exceeds `tolerance` times the largest entry."""
     if matrix.ndim != 2 or matrix.shape[0] != matrix.shape[1]:
         raise InvalidProblem(

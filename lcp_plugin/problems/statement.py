@@ -420,7 +420,7 @@ class Statement:
         self.rows.append(StatedRows(rows, zero + low, zero + high, origin, name=name))
 
     def complement(
-        self, z: Indices, w: Rows, low: Array, high: Array, sign: Any = 1.0, **facts: Any
+        self, z: Indices, w: Rows, low: Array, high: Array, sign: float = 1.0, **facts: Any
     ) -> None:
         """Let sign · w complement the unknowns z between low and high; facts are the origin and the name."""
         zero = np.zeros(z.size)

@@ -554,7 +554,7 @@ def _by_largest_block(rows: list[Row], right: Fractions, guess: Fractions) -> Ro
     return solution if list(sums) == right else None
 
 
-def sum_above(a: Any, b: Array) -> Vector:
+def sum_above(a: Array, b: Array) -> Vector:
     """Return a float64 ≥ a + b, equal to it if a + b is a float64."""
     total = np.add(a, b)
     part = total - a

@@ -54,7 +54,7 @@ def moved_unknowns(d: Any, names: Names) -> str:
     return f"unknown{'s' * (len(moving) != 1)} {named}"
 
 
-def is_minimizer_beyond_radius(P: AnyMatrix, c: Vector, direction: Any, left: Array) -> bool:
+def is_minimizer_beyond_radius(P: AnyMatrix, c: Vector, direction: Array, left: Array) -> bool:
     """Return whether a load c moves the zero-energy mode much farther than the softest part of the structure.
 
     t = Σ_j |c_j d_j| / min_i (Σ_j |p_ij d_j|)² / p_ii, over the rows i that d moves, is how far the softest part gives

@@ -96,7 +96,7 @@ class SideConditions:
         return sorted(worst, key=lambda row: -row.residual)
 
 
-def excess(body: Any, lower: Vector, upper: Vector, changes: Any) -> Any:
+def excess(body: Vector, lower: Vector, upper: Vector, changes: Vector) -> Any:
     """Return the violation of bounds relative to their size, at least 1, or to the row's change if that is less."""
     sizes = np.maximum(*(np.where(np.isfinite(end), np.abs(end), 0.0) for end in (lower, upper)))
     scales = np.where(changes > 0.0, changes, np.abs(body)) + sizes

@@ -205,7 +205,7 @@ def programs_for(program: QuadraticProgram, vectors: Array) -> list[QuadraticPro
 
 
 def solve_programs(
-    data: Sequence[Any], m: int, may: Any, tolerance: float
+    data: Sequence[Any], m: int, may: BoolVector, tolerance: float
 ) -> tuple[Any, Any, Any, Any]:
     """Run the engine on each of these programs, and test each point, except of programs with several components.
 

@@ -249,7 +249,7 @@ class FrictionalContact(Blocks):
         gaps: ArrayLike | None = None,
         time_step: float | None = None,
         dimension: int | None = None,
-        equations: Any = 0,
+        equations: int = 0,
     ) -> None:
         need = "b must be a finite array of shape (d k,) or (k, d), d = 3 (space) or 2 (plane)"
         velocities = real_array(b, need)

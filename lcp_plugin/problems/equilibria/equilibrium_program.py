@@ -97,7 +97,7 @@ class EquilibriumProgram:
     second: Indices
     lower: Array = None
     upper: Array = None
-    integers: Any = ()
+    integers: Array = ()
     smooth: SmoothPart | None = None
 
     def __post_init__(self) -> None:

@@ -9,7 +9,7 @@ from typing import Any
 
 import numpy as np
 
-from ...core.checks import Indices, Vector, checked_vector, is_number, read_only
+from ...core.checks import Array, Indices, Vector, checked_vector, is_number, read_only
 from ...core.deadline import Clock
 from ...core.entries import max_norm
 from ...core.errors import InvalidOption, UnsuitableProblem, did_you_mean
@@ -233,7 +233,7 @@ class Line:
         """Return θ at the distance t from start."""
         return self.stop if t == abs(self.stop - self.start) else self.start + self.toward * t
 
-    def point(self, theta: float, z: Vector, case: Any) -> PathPoint:
+    def point(self, theta: float, z: Vector, case: Array) -> PathPoint:
         """Return the solution at θ from the unknowns of the complementarity problem and their active set."""
         problem = self.at(theta)
         if isinstance(problem, NonlinearProblem):

@@ -318,7 +318,7 @@ def claimed_point(
     return x, np.concatenate([inequality, equality, *bound_multipliers(program, gradient)])
 
 
-def _check_limits(tolerance: Any, max_seconds: Any = None) -> None:
+def _check_limits(tolerance: float, max_seconds: Any = None) -> None:
     checked_tolerance(tolerance, may_be_zero=False)
     if max_seconds is not None and (not is_number(max_seconds) or not max_seconds > 0.0):
         raise InvalidOption(f"max_seconds must be a number > 0 or None, got {max_seconds!r}")

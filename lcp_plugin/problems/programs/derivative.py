@@ -356,7 +356,7 @@ class ProgramDerivative:
         z = np.where(q.any(axis=-1, keepdims=True), z, 0.0)
         return self.data.gradient(z, q, gradients.lower, gradients.upper)
 
-    def _with_multipliers(self, of_x: Any) -> Any:
+    def _with_multipliers(self, of_x: Array) -> Any:
         """Return vectors of the unknowns of the LCP: these for x, and zeros for the multipliers."""
         vectors, n = np.zeros(self.conditions.z.shape), self.data.ends[0]
         vectors[..., :n] = of_x

@@ -112,7 +112,7 @@ class QuadraticProgram(Problem):
         lower: ArrayLike = -np.inf,
         upper: ArrayLike = np.inf,
         constant: float = 0.0,
-        names: Any = None,
+        names: Names | None = None,
     ) -> None:
         labels = shared_labels(self.axes, locals())
         vector = checks.checked_vector(c, "c", None)

@@ -36,7 +36,7 @@ import scipy.sparse as sp
 from numpy.typing import ArrayLike, NDArray
 
 from ..core import checks
-from ..core.checks import AnyMatrix, checked_vector, is_number, real_array, rectangular_matrix
+from ..core.checks import Array, checked_vector, is_number, real_array, rectangular_matrix
 from ..core.errors import InvalidProblem, warn
 from ..solving.result import Result
 
@@ -546,7 +546,7 @@ def _array(values: Any, need: str) -> FloatArray:
 
 
 @np.errstate(all="ignore")
-def check_symmetric(matrix: AnyMatrix, name: str, tolerance: float = 1e-8) -> None:
+def check_symmetric(matrix: Any, name: str, tolerance: float = 1e-8) -> None:
     """Raise InvalidProblem if max |m_ij − m_ji| exceeds `tolerance` times the largest entry."""
     if matrix.ndim != 2 or matrix.shape[0] != matrix.shape[1]:
         raise InvalidProblem(

@@ -23,7 +23,7 @@ if TYPE_CHECKING:
 
 TOOL = "lcp-plugin-ampl"
 OPTIONS_VARIABLE = "lcp_plugin_options"
-EXIT_BAD_INPUT, EXIT_INTERRUPTED = 2, 130
+EXIT_BAD_INPUT, EXIT_INTERRUPTED = 2, 130  # a wrong file or option, as in typer; Ctrl-C
 FAILURE, INTERRUPTED = 500, 402
 KEYWORDS = {
     "absolute_tolerance": "residual that is small enough, in the unit of the variables (0) *",

@@ -24,7 +24,6 @@ from . import ampl
 __all__ = ["app", "run"]
 
 EXIT_UNSOLVED = 1  # exit code of a run without a solution
-EXIT_BAD_INPUT = 2  # exit code for a wrong file or option, as in typer
 
 
 def _ending(exit_codes: str, *examples: str) -> str:
@@ -84,7 +83,7 @@ def command(name: str, exit_codes: str, *examples: str) -> Callable[[F], F]:
                 _drop_output()
                 message = f"cannot write {error.filename or 'output'}: {error.strerror or error}"
             typer.echo(f"lcp-plugin: {message}", err=True)
-            raise typer.Exit(EXIT_BAD_INPUT)
+            raise typer.Exit(ampl.EXIT_BAD_INPUT)
 
         app.command(name, epilog=_ending(exit_codes, *examples))(wrapped)
         return body
@@ -120,7 +119,7 @@ def main(
         raise typer.Exit
     if context.invoked_subcommand is None:  # "lcp-plugin --" has an argument, but no command
         typer.echo(context.get_help())
-        raise typer.Exit(EXIT_BAD_INPUT)
+        raise typer.Exit(ampl.EXIT_BAD_INPUT)
 
 
 Tolerance = Annotated[

@@ -13,6 +13,8 @@ import scipy.sparse as sp
 
 from ..core.checks import AnyMatrix, Array, Vector
 
+FEASIBLE = 1e-7  # of the terms of a row: the largest violation by a solution of a linear program
+
 
 def highs(
     cost: Vector,

@@ -13,11 +13,9 @@ from ..core.entries import max_norm
 from ..core.errors import InvalidProblem
 from ..core.lcp import LCP
 from ..core.problem_classes import refusal
-from ..core.rounding import gamma
+from ..core.rounding import ROUNDING, gamma
 from . import lcp as judge
 from .lcp import RowData, RowResiduals, RowsAtPoint, VectorEnds
-
-PRECISE = 1e-12  # tolerance at which rounding errors of the relative residual count
 
 
 @dataclass(frozen=True, eq=False)
@@ -79,7 +77,7 @@ class Certificate:
     @derived_property
     def by_row(self) -> RowResiduals:
         """Residuals of all rows, by sums in twice the precision if rounding makes the largest residual uncertain."""
-        return self.criterion.residuals_at(self.z, self.rows, PRECISE)
+        return self.criterion.residuals_at(self.z, self.rows, ROUNDING)
 
     @derived_property
     def w(self) -> Vector:

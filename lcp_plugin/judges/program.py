@@ -49,7 +49,7 @@ import scipy.sparse as sp
 from ..core.checks import AnyMatrix, Array, Indices, Vector
 from ..core.entries import clip, entries_of_rows, largest_in_rows, largest_products
 from ..core.kernels.compilation import helper, kernel
-from ..core.kernels.floats import DATA_ROUNDING, INF, NEGLIGIBLE, UNIT
+from ..core.kernels.floats import DATA_ROUNDING, FEW_ROUNDINGS, INF, NEGLIGIBLE, UNIT
 from ..core.rounding import add_pairs, compensated_pair, compensated_product, one_number
 from ..core.structure import components_of_links
 
@@ -57,7 +57,6 @@ PROGRAM_TOLERANCE = 1e-6  # of the gap, by default
 ROWS = 1e-9  # of the rows, at every tolerance
 NEARLY = (1e-6, 1e-3)  # rows and gap: a point beyond is not even inaccurately optimal
 NOISE = 1e-5  # of the coefficients of a row: its limit counts as at least that large in a proof
-BLUR = 8.0 * UNIT  # of the terms of a sum: error of the data
 CANCELLED = 1e-8  # share of the objective's terms to which they may cancel
 LEAST_SIZE = 1e-6  # of the rows' terms with their multipliers
 MOVES = 1000.0  # times its size, an unknown without a bound is moved
@@ -320,7 +319,7 @@ class PrimalDualPoint:
     def noise(self) -> Vector:
         """Size up to which the side of a row counts as 0, (m + p,); 0 unless it has entries, and its c_ij x_j are 0."""
         parts = self.terms.components
-        most = BLUR * self.terms.row_sizes * parts.largest(self.of_x)[parts.of_row]
+        most = FEW_ROUNDINGS * self.terms.row_sizes * parts.largest(self.of_x)[parts.of_row]
         is_noise = (self.row_terms == self.limits) & (self.limits <= most) & (self.terms.counts > 0)
         return np.where(is_noise, most, 0.0)
 

@@ -20,7 +20,7 @@ from cvxpy.problems.problem import SolverStats
 from ..core import deadline
 from ..core.checks import Indices
 from ..core.errors import UnsupportedModel, warn
-from ..core.settings import Status
+from ..core.settings import DEFAULT, Status
 from ..expressions.rows import Program
 from ..problems.equilibria.equilibrium_program import EquilibriumProgram
 from ..solving.dispatch import solve
@@ -128,9 +128,6 @@ def _with_multipliers(program: EquilibriumProgram, model: Model, start: Any) -> 
     return program.with_slacks(start)
 
 
-MARGIN = 1e-8  # of the terms of a gradient, as the tolerance of a solve: less gains nothing
-
-
 @np.errstate(all="ignore")  # outside of a domain
 def possible_gain(agent: Any) -> float | None:
     """Return the gain that an agent could make, or its largest violation; see :meth:`Optimal.gap`.
@@ -177,8 +174,9 @@ def possible_gain(agent: Any) -> float | None:
 
 
 def _fee(agent: Any) -> tuple[Any, list[Any]]:
-    """Return MARGIN of the terms of the gradient times the change of each decision, and rows that define the change.
+    """Return terms of the gradient times the change of each decision, and rows that define the change.
 
+    Their factor is the tolerance of a solve, because less gains nothing.
     At equilibrium prices the margin of a linear program is zero up to rounding, and its gain must not be infinite.
     """
     gradient = agent.conditions.stationarity.second.expression
@@ -193,7 +191,7 @@ def _fee(agent: Any) -> tuple[Any, list[Any]]:
     terms = abs(slopes) @ abs(point) + abs(program.value(point) - slopes @ point)
     x = joined(agent.decisions)
     more, less = cp.Variable(x.size, nonneg=True), cp.Variable(x.size, nonneg=True)
-    return MARGIN * terms[: x.size] @ (more + less), [x - x.value == more - less]
+    return DEFAULT.tolerance * terms[: x.size] @ (more + less), [x - x.value == more - less]
 
 
 def _best_value(problem: cp.Problem) -> tuple[float, str]:

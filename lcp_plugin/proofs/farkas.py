@@ -21,7 +21,9 @@ from ..core import deadline
 from ..core.checks import AnyMatrix, Array, BoolVector, Vector
 from ..core.entries import max_norm, row_numbers, scale_matrix
 from ..core.kernels.floats import DATA_ROUNDING
-from ..engines.linear_program import highs
+from ..core.rounding import ROUNDING
+from ..engines.linear_program import FEASIBLE, highs
+from ..judges.program import PROGRAM_TOLERANCE
 from ..systems.equilibration import EQUILIBRATING_PASSES, equilibrating_exponents, power_of_two
 from . import exact
 from .exact import ZERO, IntegerMatrix, Rational, common_denominator, exact_power_of_two
@@ -220,14 +222,11 @@ def exact_dot(factors: Sequence[int], values: Sequence[float]) -> Fraction:
     return exact_power_of_two(exponent) * sum(map(operator.mul, factors, whole))
 
 
-NO_MULTIPLIER = 1e-12  # of the unit: a smaller y of a linear program is 0
-TIGHT = 1e-7  # of its terms: a smaller sum of a linear program is 0
 PIVOT_WORK = 120_000_000  # pivots times rows and columns: on 12 000 of both they take 4 s
 LP_TOLERANCE = 1e-9  # a tenth of it is the least that HiGHS takes
 NORMS = (1e-6, 1e6)  # smallest and largest: entries of one row of the linear program
 # times the unit: sizes that a linear program distinguishes from ∞ and from 0
 MOST_UNITS, LEAST_UNIT = 1e5, 1e-6
-ENOUGH = 1e-6  # a tolerance: a proof that excludes it ends the search
 
 
 Multipliers = Vector | Sequence[Rational]
@@ -375,7 +374,7 @@ class FarkasProgram:
         unscaled = y * self.rows
         yield unscaled / max_norm(unscaled)
         # Multipliers of stated models are often integers.
-        for unit in (1.0, np.abs(y[np.abs(y) > NO_MULTIPLIER]).min()):
+        for unit in (1.0, np.abs(y[np.abs(y) > ROUNDING]).min()):
             yield np.rint(y / unit) * self.rows
         if (repaired := self._repaired(y)) is not None:
             yield repaired
@@ -391,7 +390,7 @@ class FarkasProgram:
             rows = self.matrix.T.tocsr()[tight][:, support].toarray()
             for _ in range(2):  # the second removes the rounding of the first
                 y = y.copy()
-                y[support] -= np.linalg.lstsq(rows, rows @ y[support], rcond=NO_MULTIPLIER)[0]
+                y[support] -= np.linalg.lstsq(rows, rows @ y[support], rcond=ROUNDING)[0]
         return y * self.rows
 
     def _repaired(self, y: Vector) -> list[Fraction] | None:
@@ -414,8 +413,8 @@ class FarkasProgram:
         """Return the indices of nonzero y, and the open columns at which Mᵀy has no slack."""
         size = abs(self.matrix).T @ np.abs(y)
         is_unbounded = np.isinf(self.constraints.lower) | np.isinf(self.constraints.upper)
-        is_tight = is_unbounded & (np.abs(self.matrix.T @ y) <= TIGHT * size) & (size > 0.0)
-        return np.flatnonzero(np.abs(y) > TIGHT), np.flatnonzero(is_tight)
+        is_tight = is_unbounded & (np.abs(self.matrix.T @ y) <= FEASIBLE * size) & (size > 0.0)
+        return np.flatnonzero(np.abs(y) > FEASIBLE), np.flatnonzero(is_tight)
 
 
 def best_proof(
@@ -446,11 +445,11 @@ def best_proof(
         if answer is None or answer.fun > -1e-9:  # they seem consistent
             continue
         proof = None if exactly else proven(farkas.polished(answer))
-        if proof is None or not proof.excludes(ENOUGH):
+        if proof is None or not proof.excludes(PROGRAM_TOLERANCE):
             proof = farkas.proof(answer, proven)
         if proof is not None:
             proofs.append(proof)
-            if proof.excludes(ENOUGH):
+            if proof.excludes(PROGRAM_TOLERANCE):
                 break
         if deadline.is_over() or left <= 0:
             break

@@ -38,7 +38,7 @@ from ..core.kernels.floats import TINY, UNIT
 from ..core.matrix import Matrix, fact
 from ..core.names import format_count
 from ..core.rounding import lower_end, upper_end
-from ..core.structure import connected_components, triangular_form
+from ..core.structure import ROUNDED, connected_components, triangular_form
 from ..systems import definiteness, graph
 from ..systems.definiteness import is_positive_definite
 from ..systems.factors import factor_fits
@@ -183,7 +183,6 @@ def is_p_matrix_by_recursion(M: AnyMatrix) -> bool | None:
     return None if len(rows) > 10 and bits > 160 else exact.has_positive_minors(rows)
 
 
-SYMMETRIC_TO_ROUNDING = 64 * UNIT  # relative
 UNDECIDED = "undecided: singular up to rounding"
 
 
@@ -204,7 +203,7 @@ def symmetric(matrix: Matrix) -> Verdict:
     # relative to the rows, because the rounding error of an assembly is small there
     root = np.sqrt(np.maximum(largest_in_rows(M), largest_in_rows(sp.csr_array(M.T))))
     largest = float(np.max(np.abs(difference.data) / root[difference.row] / root[difference.col]))
-    to_rounding = "symmetric up to rounding: its " * (largest <= SYMMETRIC_TO_ROUNDING)
+    to_rounding = "symmetric up to rounding: its " * (largest <= ROUNDED)
     return Verdict(False, f"{to_rounding}largest asymmetry relative to the rows is {largest:.2g}")
 
 

@@ -21,6 +21,7 @@ from ...core.entries import max_norm, unbounded
 from ...core.kernels.floats import DATA_ROUNDING
 from ...core.lcp import LCP
 from ...core.matrix import fact
+from ...core.rounding import ROUNDING
 from ...core.structure import equation_signs
 from ...core.tuning import PIVOTS_FIRST_UP_TO
 from ...systems.equilibration import power_of_two
@@ -215,7 +216,6 @@ def is_game(problem: LCP) -> bool:
 
 Move = tuple[int, float]  # the driven variable, and its direction
 
-ACCURATE = 1e-12  # relative residual of the basis up to which no new factorization is needed
 # relative to each |q|, and to the smallest nonzero |q| where q is 0: no two rows block at once
 TIE_BREAK = 2.0**-48
 # of the largest basic variable: largest violation of the bounds of a basic variable
@@ -329,11 +329,11 @@ class LemkePath:
     def _is_sound(self, is_doubtful: bool) -> bool:
         """Correct the values, with a new tableau if necessary; return whether the values are feasible."""
         wrong = self._correct()
-        if is_doubtful or wrong > ACCURATE or self.age >= self.fresh_for:
+        if is_doubtful or wrong > ROUNDING or self.age >= self.fresh_for:
             if not self._renew():
                 return False
             wrong = self._correct()
-        if not wrong <= np.sqrt(ACCURATE):
+        if not wrong <= np.sqrt(ROUNDING):
             return False
         low, high = self.real[tableau.LOW, : self.n], self.real[tableau.HIGH, : self.n]
         outside = np.maximum(low - self.values, self.values - high)

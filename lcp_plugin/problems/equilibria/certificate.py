@@ -10,10 +10,11 @@ import numpy as np
 
 from ...core import deadline
 from ...core.checks import Array, Vector, checked_vector
+from ...engines.linear_program import FEASIBLE
 from ...judges.worst_rows import WorstRow, WorstRows
 from .branch_and_bound import minimize_over_solutions
 from .equilibrium_program import EquilibriumProgram
-from .relaxations import FEASIBLE, EquilibriumResult
+from .relaxations import EquilibriumResult
 
 NODES = 100  # of a search for a bound
 

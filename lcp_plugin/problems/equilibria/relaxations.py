@@ -22,6 +22,7 @@ from ...core.entries import largest_in_rows
 from ...core.errors import UnsupportedModel
 from ...core.kernels.floats import NORMAL
 from ...core.settings import Status
+from ...engines.linear_program import FEASIBLE
 from ...proofs.bounds import Curvature, constrained_curvature
 from ...solving.result import BaseResult
 from ..programs.no_minimum import QPInfeasibility, QPUnboundedness, prove_infeasible
@@ -31,7 +32,6 @@ from ..programs.solving import solve_program
 from ..programs.value_bounds import DualBounds, implied_box
 from .equilibrium_program import Cases, EquilibriumProgram, branches
 
-FEASIBLE = 1e-7  # largest violation of a row by a solution, relative to its terms
 PENALTY = 2.0**6  # of the largest entry of P, for rows whose largest entry is 1
 
 

@@ -34,10 +34,11 @@ from ...core import deadline
 from ...core.checks import AnyMatrix, Vector
 from ...core.entries import entries_of_row
 from ...core.errors import UnsupportedModel
+from ...engines.linear_program import FEASIBLE
 from ...expressions.rows import Program
 from ...systems.equilibration import power_of_two
 from .equilibrium_program import HIGH_CASE, LOW_CASE, EquilibriumProgram
-from .relaxations import ENDS, FEASIBLE
+from .relaxations import ENDS
 
 SCIP_INFINITY = 1e20  # larger numbers are infinite for SCIP, also seconds
 SHARE = 0.25  # of the requested gap

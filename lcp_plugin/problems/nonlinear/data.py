@@ -56,10 +56,11 @@ from ...core.matrix import Matrix
 from ...core.names import checked_names
 from ...core.problem import Problem
 from ...core.problem_classes import Door
+from ...core.rounding import ROUNDING
 from ...core.settings import Settings
 from ...core.structure import components_of_dense, connected_components
 from ...core.tuning import CHEAP_UP_TO
-from ...judges.certificate import PRECISE, Certificate
+from ...judges.certificate import Certificate
 from ...judges.lcp import Measured, RowData, RowsAtPoint, bound_residual
 from ...methods.small import SMALL_SPARSE
 from ...systems.factors import Factor, factorize
@@ -773,7 +774,7 @@ class Linearization:
     @derived_property
     def residual(self) -> float:
         """The relative residual of x."""
-        return float(self.data.residuals_at(self.x, self.rows, PRECISE).worst)
+        return float(self.data.residuals_at(self.x, self.rows, ROUNDING).worst)
 
 
 def moves_on(point: Linearization) -> BoolVector:

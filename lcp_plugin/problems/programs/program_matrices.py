@@ -15,10 +15,11 @@ from numpy.typing import NDArray
 from ...core import checks
 from ...core.checks import AnyMatrix, Indices, Vector, freeze_csr, read_only
 from ...core.entries import count_entries, largest_in_rows, largest_products, or_one
+from ...core.kernels.floats import FEW_ROUNDINGS
 from ...core.matrix import Matrix
 from ...engines import is_installed
 from ...engines.solvers import kinds_of_rows
-from ...judges.program import BLUR, ProgramTerms
+from ...judges.program import ProgramTerms
 from ...systems.definiteness import factorized, is_diagonal, is_semidefinite_to_rounding, scaled_to
 from ...systems.minimum_degree import factor_sizes
 from .fitted_units import fitted_units, roots
@@ -176,7 +177,7 @@ class ProgramMatrices:
         error of the largest entry of P, is replaced by the largest entry of its row.
         """
         P, d, n = self.P, self.P.diagonal(), self.P.shape[0]
-        if self.is_semidefinite or d.min() < -BLUR * abs(P).max():
+        if self.is_semidefinite or d.min() < -FEW_ROUNDINGS * abs(P).max():
             return P if self.is_semidefinite else None
         diagonal: Any = sp.diags_array if sp.issparse(P) else np.diag
         least, d = np.minimum(d, 0.0), np.where(d > 0.0, d, largest_in_rows(P))

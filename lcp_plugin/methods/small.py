@@ -393,8 +393,10 @@ def active_point(M: Vector, q: Vector, lower: Vector, upper: Vector, side: Indic
     z: Vector = np.where(side == HIGH, upper, lower)
     if free.size == 0:
         return z
-    z[free] = 0.0
-    block, right = M[free[:, None], free], -(M @ z + q)[free]
+    block, right = M, -q
+    if free.size < z.size:
+        z[free] = 0.0
+        block, right = M[free[:, None], free], -(M @ z + q)[free]
     try:
         z[free] = np.linalg.solve(block, right)
     except LinAlgError:

@@ -19,7 +19,7 @@ Three clauses are added, because the linearization is not F, and because F(x) is
   triple root 0.3 |s_j|; if F tends to 0 as x diverges it is 1/e and more, with any offset of x_j. Steps below half of
   the digits of x_j, and steps that rounding errors of F make, do not count. Rounding errors made s_j if the Newton step
   from 4096 times the larger of |s_j| and |t_j| leads back by half of the way: there F is linear, and x is next to its
-  root. :func:`moves_on` takes two further values of F at most.
+  root. `moves` takes two further values of F at most.
   Without a jacobian, F′(x) is then computed by central differences with longer steps, which see weak slopes.
   Nor may x_j alone reduce Σ (F_i/d_i)² most by an outward step above x_j/64, nor may rounding hide that F depends
   on x_j. Three such points end a run from a start.
@@ -48,7 +48,14 @@ from numpy.typing import ArrayLike, NDArray
 
 from ...core import checks
 from ...core.checks import AnyMatrix, BoolVector, Vector, derived_property, read_only
-from ...core.entries import IntVector, largest_in_rows, largest_products, max_norm, residual_scales
+from ...core.entries import (
+    IntVector,
+    clip,
+    largest_in_rows,
+    largest_products,
+    max_norm,
+    residual_scales,
+)
 from ...core.errors import InvalidProblem
 from ...core.kernels.floats import EPSILON, HALF_OF_DIGITS, LARGEST
 from ...core.lcp import LCP
@@ -518,27 +525,68 @@ SAMPLES = 5  # of the rounding error of each F_i
 FAR_STEPS = 4096.0  # at which Newton's step leads back if rounding errors made it
 
 
-class LinearizedRows(RowData):
-    """Data of the criterion at x: the linearization there, with F(x) for w, and without sums in twice the precision.
+class Linearization(RowData):
+    """The problem near a point x: F(x), and on first use the LCP of F′(x) and its data of the criterion.
+
+    F(x) is w, and no sums are computed in twice the precision.
+
+    It is one class because all of its measures are measures of x.
 
     Parameters
     ----------
-    point : Linearization
+    problem : NonlinearProblem
+    x : array, shape (n,)
+        A copy is kept.
     """
 
     matrix = "F′"
 
-    def __init__(self, point: Linearization) -> None:
-        self.point, self.problem = point, (problem := point.problem)
-        self.M, self.x, self.value, self.q = point.M, point.x, point.value, point.q
-        self.lower, self.upper, self.scale = problem.lower, problem.upper, point.scale
-        self.origin_point, self.origin = point.origin, point.origin.x
-        self.__post_init__()
+    def __init__(self, problem: NonlinearProblem, x: Vector) -> None:
+        self.problem, self.x = problem, read_only(x.copy())
+        self.lower, self.upper = problem.lower, problem.upper
+        self.value = problem.evaluate(self.x)
+        self._measured: Measured | None = None
+        self.run_sizes: tuple[float, float, float] | None = None  # in the units of a run
+        self.lcp_steps: dict[float, Vector | None] = {}  # of a small problem, by shift
 
-    @cached_property
-    def absolute(self) -> Any:
-        """|F′(x)|."""
-        return abs(self.M)
+    def __getattr__(self, name: str) -> Any:
+        """Return F′(x), dense if it has few rows, or another datum of the linearization; all are computed together.
+
+        M, |M| (`absolute`), q = F(x) − F′(x) x, the scales d_i, T_i (`terms`), and r(x) (`steps`), which is signed.
+        It raises the errors of :meth:`NonlinearProblem.linearize`.
+        """
+        if name in ("M", "absolute", "q", "scale", "terms", "steps"):
+            M = self.problem.slopes(self.x, self.value)
+            if self.x.size <= SMALL_SPARSE and not isinstance(M, np.ndarray):
+                M = M.toarray()
+            q, self.absolute = self.problem.offset(self.x, self.value, M), abs(M)
+            self.M, self.q, self.terms = M, q, self.absolute @ np.abs(self.x) + np.abs(q)
+            self.scale = residual_scales(M.diagonal(), largest_in_rows(M))
+            self.steps = self.steps_at(self)
+        return object.__getattribute__(self, name)  # a property's own error, if it has raised one
+
+    def steps_at(self, there: Linearization) -> Vector:
+        """Return the residuals of another point in the scale of x, of a quotient that underflows 0."""
+        return clip(there.value / self.scale, there.x - self.upper, there.x - self.lower)
+
+    def at(self, x: Vector) -> Linearization:
+        """Return the linearization at another point, with the same `at_origin`."""
+        if np.logical_and.reduce(x == self.origin):
+            return self.at_origin
+        point = Linearization(self.problem, x)
+        point.at_origin = self.at_origin
+        return point
+
+    @derived_property
+    def at_origin(self) -> Linearization:
+        """The linearization at z°, the point of the bounds nearest to 0; F need not be defined there."""
+        nearest = self.problem.nearest_to_zero
+        return self if (self.x == nearest).all() else Linearization(self.problem, nearest)
+
+    @property
+    def origin(self) -> Vector:
+        """The point z°."""
+        return self.at_origin.x
 
     @cached_property
     def labels(self) -> Any:
@@ -558,7 +606,7 @@ class LinearizedRows(RowData):
     @cached_property
     def residual_at_origin(self) -> Vector:
         """The residual of F(z°) in the component of each row; ∞ if it is 0 or F is not defined there."""
-        origin = self.origin_point.value
+        origin = self.at_origin.value
         residual = np.abs(self.residual(self.origin, origin))
         of_value = self.largest(np.where(np.isfinite(origin), residual, np.inf))
         return np.where(of_value > 0.0, of_value, np.inf)
@@ -590,30 +638,8 @@ class LinearizedRows(RowData):
         is_lost = (at.is_active & (limit > 0.0) & (EPSILON * at.terms > limit)).any()
         passes = measured.passes and not is_lost
         if passes and (absolute == 0.0 or (measured.by_row.high > absolute).any()):
-            passes = not moves_on(self.point).any()
+            passes = not self.moves.any()
         return measured._replace(passes=passes)
-
-    @cached_property
-    def terms(self) -> Vector:
-        """T_i of the linearization, shape (n,)."""
-        terms: Vector = self.absolute @ np.abs(self.x) + np.abs(self.q)
-        return terms
-
-    def flat_unknowns(self, free: BoolVector) -> BoolVector:
-        """Return the free unknowns off z° on which the linearization depends by rounding errors at most."""
-        rounding = 8.0 * EPSILON * self.terms
-        level = np.divide(1.0, rounding, out=np.full(free.size, np.inf), where=rounding > 0.0)
-        level = np.where(free, np.minimum(level, LARGEST), 0.0)
-        columns = sp.csr_array(self.absolute.T) if sp.issparse(self.M) else self.absolute.T
-        share = largest_products(columns, level) * np.abs(self.x)
-        return free & (share <= 1.0) & (self.x != self.origin)
-
-    def single_steps(self, free: BoolVector) -> Vector:
-        """Return the change of each x_j that minimizes Σ (F_i/d_i)² of the free rows if no other unknown changes."""
-        weights = np.where(free, 1.0, 0.0) / self.scale
-        products, squares = self.M.T @ (weights**2 * self.value), (self.absolute**2).T @ weights**2
-        steps = -products / squares
-        return np.asarray(np.where(np.isfinite(steps), steps, 0.0))
 
     @derived_property
     def noise(self) -> Vector:
@@ -640,60 +666,6 @@ class LinearizedRows(RowData):
         """Return the rounding level of each residual, with the rounding error inside F."""
         return super().rounding_floor(terms, scale) + self.noise
 
-
-class Linearization:
-    """The problem near a point x: F(x), and the LCP of F′(x), computed on first use.
-
-    Parameters
-    ----------
-    problem : NonlinearProblem
-    x : array, shape (n,)
-        A copy is kept.
-    """
-
-    def __init__(self, problem: NonlinearProblem, x: Vector) -> None:
-        self.problem, self.x = problem, read_only(x.copy())
-        self.value = problem.evaluate(self.x)
-        self._measured: Measured | None = None
-        self._moves: BoolVector | None = None
-        self.sizes: tuple[float, float] | None = None  # in the units of a run
-        self.lcp_steps: dict[float, Vector | None] = {}  # of a small problem, by shift
-
-    def at(self, x: Vector) -> Linearization:
-        """Return the linearization at another point, with the same `origin`."""
-        is_origin = (x == self.origin.x).all()
-        point = self.origin if is_origin else Linearization(self.problem, x)
-        point.origin = self.origin
-        return point
-
-    @derived_property
-    def origin(self) -> Linearization:
-        """The linearization at z°, the point of the bounds nearest to 0; F need not be defined there."""
-        nearest = self.problem.nearest_to_zero
-        return self if (self.x == nearest).all() else Linearization(self.problem, nearest)
-
-    @cached_property
-    def M(self) -> Any:
-        """F′(x), dense if it has few rows; errors as of :meth:`NonlinearProblem.linearize`."""
-        M = self.problem.slopes(self.x, self.value)
-        is_small = self.x.size <= SMALL_SPARSE and not isinstance(M, np.ndarray)
-        return M.toarray() if is_small else M
-
-    @cached_property
-    def q(self) -> Vector:
-        """F(x) − F′(x) x, shape (n,)."""
-        return self.problem.offset(self.x, self.value, self.M)
-
-    @cached_property
-    def scale(self) -> Vector:
-        """The scales d_i of the residual, shape (n,)."""
-        return residual_scales(self.M.diagonal(), largest_in_rows(self.M))
-
-    @cached_property
-    def data(self) -> LinearizedRows:
-        """The data of the criterion at x."""
-        return LinearizedRows(self)
-
     @cached_property
     def lcp(self) -> LCP:
         """The problem with M = F′(x), q = F(x) − F′(x) x."""
@@ -711,11 +683,6 @@ class Linearization:
             return False
         return True
 
-    @cached_property
-    def steps(self) -> Vector:
-        """The residuals r(x), signed, shape (n,)."""
-        return self.data.residual(self.x, self.value)
-
     @property
     def violation(self) -> Vector:
         """Violation of the sign of each F_i, in its unit, shape (n,)."""
@@ -725,79 +692,73 @@ class Linearization:
     @derived_property
     def certificate(self) -> Certificate:
         """The certificate of x as a solution of the linearization, which ``derivative`` and ``explain`` use."""
-        return Certificate.at(self.lcp, self.x, criterion=self.data, rows=self.rows)
+        return Certificate.at(self.lcp, self.x, criterion=self, rows=self.rows_here)
 
     @cached_property
-    def rows(self) -> RowsAtPoint:
+    def rows_here(self) -> RowsAtPoint:
         """Values of all rows at x."""
-        return self.data.rows(self.x, self.value)
+        return self.rows(self.x, self.value)
 
-    def measure(self, settings: Settings) -> Measured:
+    def measure_by(self, settings: Settings) -> Measured:
         """Return the measure of x by the stopping criterion; without rows if a sufficient test accepts x."""
         if self._measured is None:
-            data, goal, absolute = self.data, settings.goal, settings.absolute_tolerance
-            bound = bound_residual(data, self.x, goal, data.residual_at_origin)
-            is_sure = bound < math.inf and (
-                max_norm(self.steps) < absolute or not moves_on(self).any()
-            )
-            full = None if is_sure else data.measure_at(self.x, self.value, goal, absolute)
+            goal, absolute = settings.goal, settings.absolute_tolerance
+            bound = bound_residual(self, self.x, goal, self.residual_at_origin)
+            is_sure = bound < math.inf and (max_norm(self.steps) < absolute or not self.moves.any())
+            full = None if is_sure else self.measure_at(self.x, self.value, goal, absolute)
             self._measured = full or Measured(self.x, bound, passes=True)
         return self._measured
 
     @cached_property
     def least_residual(self) -> float:
         """A lower bound of the relative residual that costs little: relative to the largest T_i/d_i."""
-        terms = self.data.terms / self.data.scale
-        return max_norm(self.steps) / float(terms.max(initial=1e-300))
+        return max_norm(self.steps) / max(max_norm(self.terms / self.scale), 1e-300)
 
     def is_small(self, settings: Settings) -> bool:
         """Return whether the relative residual is at most the tolerance."""
         is_open = self.least_residual <= max(settings.goal, SMALLEST_TOLERANCE)
         is_open = is_open or settings.absolute_tolerance > 0.0
-        return bool(is_open and self.measure(settings).residual <= settings.goal)
+        return bool(is_open and self.measure_by(settings).residual <= settings.goal)
 
     def passes(self, settings: Settings) -> bool:
         """Return whether x is SOLVED."""
-        return self.is_small(settings) and bool(self.measure(settings).passes)
+        return self.is_small(settings) and bool(self.measure_by(settings).passes)
 
     def is_endless(self, settings: Settings) -> bool:
         """Return whether x would pass if no unknown moved on."""
-        if not self.is_small(settings) or self.measure(settings).passes:
+        if not self.is_small(settings) or self.measure_by(settings).passes:
             return False
-        fails = self.measure(settings).by_row.fails(settings.goal)
-        return not fails.any() and bool(moves_on(self).any())
+        fails = self.measure_by(settings).by_row.fails(settings.goal)
+        return not fails.any() and bool(self.moves.any())
 
     def is_limited(self, settings: Settings) -> bool:
         """Return whether x fails only because of rounding, estimated by further values of F."""
-        return bool(self.data.are_limited(self.measure(settings), settings.goal))
+        return bool(self.are_limited(self.measure_by(settings), settings.goal))
 
     @derived_property
-    def residual(self) -> float:
+    def relative(self) -> float:
         """The relative residual of x."""
-        return float(self.data.residuals_at(self.x, self.rows, ROUNDING).worst)
+        return float(self.residuals_at(self.x, self.rows_here, ROUNDING).worst)
+
+    @cached_property
+    def moves(self) -> BoolVector:
+        """Mask of the unknowns that move on, as the docstring of this module defines them.
+
+        F is evaluated at two further points at most and, without a jacobian, for one F′(x) by central differences.
+        """
+        return _moving_unknowns(self)
 
 
-def moves_on(point: Linearization) -> BoolVector:
-    """Return the unknowns of x that move on, as the docstring of this module defines them, shape (n,).
-
-    F is evaluated at two further points at most and, without a jacobian, for one F′(x) by central differences. The
-    point keeps the mask.
-    """
-    if point._moves is None:
-        point._moves = _moving_unknowns(point.data)
-    return point._moves
-
-
-def _moving_unknowns(rows: LinearizedRows) -> BoolVector:
+def _moving_unknowns(rows: Linearization) -> BoolVector:
     problem, x, n = rows.problem, rows.x, rows.x.size
     step, sizes = rows.value / rows.scale, np.abs(x)
     free = (step < x - rows.lower) & (step > x - rows.upper)  # others are at a bound, or nearly
     largest, at = rows.largest(sizes), np.flatnonzero(free)
     least = HALF_OF_DIGITS * np.maximum(sizes, HALF_OF_DIGITS * largest)
     w, is_small = np.where(free, rows.value, 0.0), n <= CHEAP_UP_TO
-    single = np.zeros(n) if is_small and not w.any() else rows.single_steps(free)
+    single = np.zeros(n) if is_small and not w.any() else _single_steps(rows, free)
     moves = free & (single * np.sign(x) > 2.0**-6 * np.maximum(sizes, 2.0**-10 * largest))
-    if (flat := rows.flat_unknowns(free)).any():
+    if (flat := _flat_unknowns(rows, free)).any():
         moves |= _depends_on(rows, flat, free)
     if not w.any() or not (is_small or (np.abs(single) > least).any()):
         return moves
@@ -825,7 +786,25 @@ def _moving_unknowns(rows: LinearizedRows) -> BoolVector:
     return moves
 
 
-def _depends_on(rows: LinearizedRows, flat: BoolVector, free: BoolVector) -> BoolVector:
+def _flat_unknowns(rows: Linearization, free: BoolVector) -> BoolVector:
+    """Return the free unknowns off z° on which the linearization depends by rounding errors at most."""
+    rounding = 8.0 * EPSILON * rows.terms
+    level = np.divide(1.0, rounding, out=np.full(free.size, np.inf), where=rounding > 0.0)
+    level = np.where(free, np.minimum(level, LARGEST), 0.0)
+    columns = sp.csr_array(rows.absolute.T) if sp.issparse(rows.M) else rows.absolute.T
+    share = largest_products(columns, level) * np.abs(rows.x)
+    return free & (share <= 1.0) & (rows.x != rows.origin)
+
+
+def _single_steps(rows: Linearization, free: BoolVector) -> Vector:
+    """Return the change of each x_j that minimizes Σ (F_i/d_i)² of the free rows if no other unknown changes."""
+    weights = np.where(free, 1.0, 0.0) / rows.scale
+    products, squares = rows.M.T @ (weights**2 * rows.value), (rows.absolute**2).T @ weights**2
+    steps = -products / squares
+    return np.asarray(np.where(np.isfinite(steps), steps, 0.0))
+
+
+def _depends_on(rows: Linearization, flat: BoolVector, free: BoolVector) -> BoolVector:
     """Return the flat unknowns on which F depends at z°, and near x not beyond rounding, by two values of F."""
     way, rounding = np.where(flat, rows.x - rows.origin, 0.0), 8.0 * EPSILON * rows.terms
     near, far = (

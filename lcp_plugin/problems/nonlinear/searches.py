@@ -25,7 +25,7 @@ from ...core.kernels.floats import DATA_ROUNDING, NEGLIGIBLE, NEGLIGIBLE_DIAGONA
 from ...core.settings import Settings
 from ...core.tuning import CHEAP_UP_TO
 from ...methods.newton import fischer_burmeister
-from .data import Linearization, moves_on
+from .data import Linearization
 from .steps import Aim, row_scale, targets
 
 SEARCHES = {"monotone": 1, "nonmonotone": 4}  # points with whose worst merit a step is compared
@@ -54,6 +54,7 @@ class JosephyNewton(Algorithm):
 
     name: ClassVar[str] = "josephy_newton"
     is_monotone: ClassVar[bool] = False
+    __setattr__ = object.__setattr__  # the state of one run; other algorithms are frozen
 
     def __init__(
         self,
@@ -74,12 +75,11 @@ class JosephyNewton(Algorithm):
     @cached_property
     def weights(self) -> Vector:
         """1/reference of the component of each row at the start; shape (1,) for one component."""
-        data = self.first.data
-        if data.labels is None:
+        if self.first.labels is None:
             return np.ones(1)
-        unit = data.residual_at_origin
+        unit = self.first.residual_at_origin
         if not np.isfinite(unit).all():
-            unit = data.references[1]
+            unit = self.first.references[1]
         return 1.0 / np.where((unit > 0.0) & np.isfinite(unit), unit, 1.0)
 
     def iterates(self, problem: Any, z0: Any) -> Iterator[Step]:
@@ -126,23 +126,23 @@ class JosephyNewton(Algorithm):
                 return
             grown = grown + 1 if following.is_endless(self.settings) else 0
             if grown == 3:  # points that would pass if no unknown moved on
-                end = np.where(moves_on(following), np.abs(following.x), np.inf)
+                end = np.where(following.moves, np.abs(following.x), np.inf)
                 self.limit = np.minimum(self.limit, end)
                 return
 
     def snap(self, point: Linearization) -> Linearization:
         """Return the point with x° in the components that F(x°) solves, and that x has come near."""
-        origin, data = point.origin, point.data
+        origin = point.at_origin
         if self.first is origin:  # the way has no length
             return point
-        left, way = (data.largest(np.abs(x - origin.x)) for x in (point.x, self.first.x))
+        left, way = (point.largest(np.abs(x - origin.x)) for x in (point.x, self.first.x))
         is_near = left <= 1e-4 * way
         if not np.logical_or.reduce(is_near):
             return point
-        errors = np.abs(data.residual(origin.x, origin.value))
-        x = np.where(is_near & (data.largest(errors) == 0.0), origin.x, point.x)
+        errors = np.abs(point.residual(origin.x, origin.value))
+        x = np.where(is_near & (point.largest(errors) == 0.0), origin.x, point.x)
         there = point if np.array_equal(x, point.x) else self._at(x)
-        return there if there.is_defined and there.residual <= point.residual else point
+        return there if there.is_defined and there.relative <= point.relative else point
 
     def other_start(self, k: int, random: np.random.Generator) -> Linearization | None:
         """Return start number k other than x₀; None if F is not defined there.
@@ -172,7 +172,7 @@ class JosephyNewton(Algorithm):
         if self.is_flat():  # a root without slope
             sizes = np.abs(current.x)
             is_zero = sizes <= NEGLIGIBLE_DIAGONAL * sizes.max()
-            point = self._at(np.where(is_zero, current.origin.x, current.x))
+            point = self._at(np.where(is_zero, current.origin, current.x))
             if point.is_defined and point.passes(self.settings):
                 self.step_name = "limit"
                 return point
@@ -191,9 +191,9 @@ class JosephyNewton(Algorithm):
     def full_step(self, target: Aim) -> Linearization | None:
         """Return the target if its residual is less than ¾ of the current residual, in the current scale."""
         current, point = self.current, self._at(target.x)
-        there = current.data.residual(point.x, point.value)
-        size, before = (max_norm(self.weights * steps) for steps in (there, current.steps))
-        return point if size < 0.75 * before and point.is_defined else None
+        size = max_norm(self.weights * current.steps_at(point))
+        is_less = size < 0.75 * self.sizes_of(current)[2]
+        return point if is_less and point.is_defined else None
 
     def search(self, target: Aim) -> Linearization | None:
         """Return the first point on the way to the target that is better."""
@@ -210,19 +210,19 @@ class JosephyNewton(Algorithm):
             # ∞ gains nothing on ∞
             is_better = self._merit(point) < (1.0 - 1e-4 * length) * worst
             # far from a source the last digits become right, and nothing falls
-            if not is_better and current.residual <= DATA_ROUNDING:
+            if not is_better and current.relative <= DATA_ROUNDING:
                 is_better = point.is_defined and point.passes(self.settings)
             is_lenient = is_newton and length == 1.0 and len(self.recent) > 1
             if not (is_better or is_lenient) or not point.is_defined:
                 continue
-            if is_better or point.residual <= 10.0 * min(recent.residual for recent in self.recent):
+            if is_better or point.relative <= 10.0 * min(one.relative for one in self.recent):
                 self.length = length
                 return point
         return None
 
     def _at(self, x: Vector) -> Linearization:
         """Return the linearization at x; its F is computed once if the next search begins there."""
-        if not np.array_equal(x, self.tried.x):
+        if not np.logical_and.reduce(x == self.tried.x):
             self.work += 1.0
             self.tried = self.first.at(x)
         return self.tried
@@ -252,18 +252,18 @@ class JosephyNewton(Algorithm):
         """
         return self.sizes_of(point)[0]
 
-    def sizes_of(self, point: Linearization) -> tuple[float, float]:
-        """Return the largest residual or violation, and the largest violation, in the units of the start."""
-        if point.sizes is None:
-            violation = max_norm(self.weights * (point.violation / self.first.data.scale))
+    def sizes_of(self, point: Linearization) -> tuple[float, float, float]:
+        """Return the largest residual or violation, the violation, and the residual, in the units of the start."""
+        if point.run_sizes is None:
+            violation = max_norm(self.weights * (point.violation / self.first.scale))
             residual = max_norm(self.weights * point.steps)
-            point.sizes = float(np.maximum(residual, violation)), violation
-        return point.sizes
+            point.run_sizes = max(residual, violation), violation, residual
+        return point.run_sizes
 
     def progress(self, point: Linearization) -> float:
         """Return the measure that must fall: the size, and then the componentwise test."""
         size = self.size_of(point)
         if point.is_small(self.settings):
-            rows = point.measure(self.settings).by_row
+            rows = point.measure_by(self.settings).by_row
             size *= 0.0 if rows is None else min(1.0, max_norm(rows.componentwise))
         return size

@@ -217,7 +217,7 @@ class NonlinearRun(Run):
         if not (is_small := point.is_small(self.settings)):
             return Measured(point, point.least_residual, is_small)
         point = self._snap(point)
-        return Measured(point, point.measure(self.settings).residual, self._passes(point))
+        return Measured(point, point.measure_by(self.settings).residual, self._passes(point))
 
     def keep(self, measured: Measured) -> None:
         """Keep a point that passes, or whose violation in the units of the start is the least."""
@@ -236,11 +236,11 @@ class NonlinearRun(Run):
 
     def _snap(self, point: Linearization) -> Linearization:
         """Return the linearization after entries near bounds are moved there, unless only the point itself passes."""
-        x = point.data.snap_to_bounds(point.x, point.value)
+        x = point.snap_to_bounds(point.x, point.value)
         if np.array_equal(x, point.x) or not (moved := point.at(x)).is_defined:
             return point
         meets = [place.passes(self.settings) for place in (point, moved)]
-        is_no_worse = moved.residual <= point.residual if meets[0] == meets[1] else meets[1]
+        is_no_worse = moved.relative <= point.relative if meets[0] == meets[1] else meets[1]
         return moved if is_no_worse else point
 
     def end_of(self, stage: Stage, step: Step, measured: Measured) -> Status | None:
@@ -304,7 +304,7 @@ def criterion_at(problem: NonlinearProblem, x: Vector) -> tuple[RowData, Vector,
         row, value = problem.names.row(wrong[0]), at.value[wrong[0]]
         raise InvalidProblem(f"{row} is {value} at x; give a point at which F is defined")
     at = with_trusted_derivative(at)
-    return at.data, at.x, at.value, problem.names
+    return at, at.x, at.value, problem.names
 
 
 @lru_cache(maxsize=16)
@@ -324,7 +324,7 @@ def jacobian_warning(point: Linearization) -> str:
     """
     x, M, problem, value = point.x, point.M, point.problem, point.value
     shares, signs = _drawn(x.size)
-    is_single = np.array_equal(value, value.astype(np.float32))  # the digits of F
+    is_single = (value == value.astype(np.float32)).all()  # the digits of F
     rounding = np.abs(value) * (2.0**-23 if is_single else 2.0**-52)
     wrong, found = np.full(x.size, np.inf), []
     # The unit of x_j is 1, then |x_j|
@@ -332,7 +332,7 @@ def jacobian_warning(point: Linearization) -> str:
         size = np.where(unit > 0.0, unit, 1.0) * shares
         direction = np.where(x - problem.lower < CHECKED[1] * size, size, size * signs)
         direction = np.where(problem.upper - x < CHECKED[1] * size, -size, direction)
-        slope, terms = M @ direction, abs(M) @ size
+        slope, terms = M @ direction, point.absolute @ size
         quotient = (problem.evaluate(read_only(x + step * direction)) - value) / step
         found.append((slope, quotient))
         error = np.abs(quotient - slope) / (terms + np.abs(quotient) + rounding / step)

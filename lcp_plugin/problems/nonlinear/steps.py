@@ -75,7 +75,7 @@ def targets(point: Linearization, linear: str | Algorithm, tolerance: float) -> 
     """Yield the targets from a point; the LCP of a linearization is solved by the algorithm `linear`."""
     step = None
     if linear == "auto" and not is_dense(point) and point.x.size <= ACTIVE_SETS_UP_TO:
-        for shift in (0.0, min(1.0, max(point.residual, 1e-8)), 1.0):
+        for shift in (0.0, min(1.0, max(point.relative, 1e-8)), 1.0):
             yield from _active_set_targets(point, shift)
         if (step := _semismooth_step(point)) is not None:
             yield Aim("semismooth", moved(point, step), (1.0,), 0.5)
@@ -123,7 +123,7 @@ def lcp_step(
         return point.lcp_steps[shift]
     problem = step_problem(point, shift)
     # A linearization needs no smaller residual than a tenth of the tolerance
-    relative, enough = point.residual, FORCING
+    relative, enough = point.relative, FORCING
     if relative > 0.0:
         enough = min(max(relative, 0.1 * tolerance / relative, SMALLEST_TOLERANCE), FORCING)
     try:
@@ -195,9 +195,9 @@ def step_data(point: Linearization, shift: float) -> tuple[Any, ...]:
     """Return M + shift D, the slack F(x) of d = 0, and the bounds of d."""
     M, w, x = point.M, point.value, point.x
     if shift:
-        D = shift * without_flat_rows(point.data.scale)
+        D = shift * without_flat_rows(point.scale)
         M = M + (sp.diags_array(D) if sp.issparse(M) else np.diag(D))
-    return M, w, point.data.lower - x, point.data.upper - x
+    return M, w, point.lower - x, point.upper - x
 
 
 def step_problem(point: Linearization, shift: float) -> LCP:
@@ -209,7 +209,7 @@ def step_problem(point: Linearization, shift: float) -> LCP:
 def phi_and_jacobian(point: Linearization) -> tuple[Vector, Any]:
     """Return Φ(x), shape (n,), and an element H of its generalized Jacobian, shape (n, n)."""
     scale = row_scale(point)
-    phi = fischer_burmeister(point.data, point.x, point.value, scale)
+    phi = fischer_burmeister(point, point.x, point.value, scale)
     rows = phi.by_w / scale
     if sp.issparse(point.M):
         return phi.value, sp.csr_array(sp.diags_array(rows) @ point.M + sp.diags_array(phi.by_z))

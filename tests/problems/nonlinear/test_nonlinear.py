@@ -665,6 +665,25 @@ def test_a_sample_costs_no_measurement(monkeypatch, F):
     assert result.history[-1].residual <= 1e-8
 
 
+def test_a_point_at_rounding_level_is_accepted_without_its_rows(monkeypatch):
+    """The sufficient test of LCPs accepts the end of a run, whose rows are then measured on access only."""
+    monkeypatch.setattr(RowData, "measure_at", None)
+    result = solve(NonlinearProblem(lambda x: np.exp(x) - 2.0, lower=np.zeros(4)))
+    assert result.is_solved
+    assert result.residual <= 1e-12
+
+
+@pytest.mark.parametrize("where", [0.0, 1.0])
+def test_an_attribute_error_of_f_reaches_its_user(where):
+    """An AttributeError of F, at z° or at the start, is raised as it is."""
+
+    def F(x):
+        return x.missing if (x == where).all() else x - 3.0
+
+    with pytest.raises(AttributeError, match="missing"):
+        solve(NonlinearProblem(F, lower=np.zeros(2)), x0=np.ones(2))
+
+
 def test_no_linear_problem_is_solved_twice(monkeypatch):
     """An arctan = 0 from 10 takes shorter steps: no linear problem is solved twice."""
     seen: list[bytes] = []

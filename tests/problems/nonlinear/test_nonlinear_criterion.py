@@ -14,7 +14,7 @@ from inputs.constructed_points import CONSTRUCTED
 from nonlinear_families import KINDS, planted
 
 from lcp_plugin import LCP, NonlinearProblem, Status, certify, solve
-from lcp_plugin.problems.nonlinear.data import Linearization, moves_on
+from lcp_plugin.problems.nonlinear.data import Linearization
 
 
 def test_an_idle_row_is_no_reference_for_a_curved_one():
@@ -155,7 +155,7 @@ def test_a_manufactured_solution_is_not_taken_for_a_point_on_its_way(kind):
         )
         x = one.x / unit * (1 + 1e-15 * rng.integers(-1, 2, one.x.size))
         point = Linearization(problem, np.clip(x, problem.lower, problem.upper))
-        assert not moves_on(point).any()
+        assert not point.moves.any()
 
 
 TAILS: dict[str, Any] = {
@@ -262,11 +262,11 @@ def test_moving_unknowns_take_two_further_values_of_f_at_most(has_jacobian):
         given = (lambda x, F=F: np.diag(F(x + 1e-3) - F(x)) / 1e-3) if has_jacobian else None
         counted = lambda x, F=F, points=points: (points.append(x), F(x))[1]  # noqa: E731
         point = Linearization(NonlinearProblem(counted, given, lower=np.zeros(x.size)), x)
-        _ = point.data.references, point.q
+        _ = point.references, point.q
         before = len(points)
-        moves_on(point)
+        _ = point.moves
         limit = 2 if has_jacobian else 2 + 2 * x.size
         assert len(points) - before <= limit
         most = max(most, len(points) - before)
-        assert moves_on(point) is moves_on(point)
+        assert point.moves is point.moves
     assert most >= 2

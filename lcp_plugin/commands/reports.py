@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 import sys
 from collections.abc import Iterable
 from operator import attrgetter
@@ -14,6 +13,7 @@ from ..core.lcp import LCP
 from ..engines import ENGINES, engine_class
 from ..evidence.measurement import PAPER_MSOR
 from ..problems.cones.methods import CONE_METHODS
+from ..proofs.guarantees import rounded_up
 from ..proofs.verdicts import wrapped
 from ..solving.analysis import analyze
 from ..solving.explanation import convergence_guarantee
@@ -41,17 +41,12 @@ def analysis(problem: object) -> str:
     for name, options in (*variants, *PAPER_VARIANTS.items()):
         title = ", ".join([name, *(f"{key}={_short(value)}" for key, value in options.items())])
         guarantee = convergence_guarantee(problem, name, **options)
-        rate = "" if guarantee.rate is None else _rate(guarantee.rate)
+        rate = "" if guarantee.rate is None else rounded_up(guarantee.rate)
         because = guarantee.theorem + (f" → {guarantee.remedy}" if guarantee.remedy else "")
         named = f"as {first[because]}" if because in first else because
         first.setdefault(because, title)
         lines += wrapped(f"{title:<25} {guarantee.verdict:<12} {rate:<8} ", named)
     return "\n".join(lines)
-
-
-def _rate(rate: float) -> str:
-    """Return the rate rounded up, or its distance from 1 if it is near 1."""
-    return f"{math.ceil(1000.0 * rate) / 1000.0:.3f}" if rate <= 0.99 else f"1-{1.0 - rate:.0e}"
 
 
 def _short(value: object) -> str:

@@ -338,22 +338,18 @@ class Model:
             expression, scale, offset = None, 1.0, 0.0
         with np.errstate(all="ignore"):
             ends = (low - offset) / scale, (high - offset) / scale
-        low, high = np.minimum(*ends), np.maximum(*ends)
-        is_crossed = (low == np.inf) | (high == -np.inf) | (ends[0] * scale > ends[1] * scale)
+        lower, upper = np.minimum(*ends), np.maximum(*ends)
+        is_crossed = (lower == np.inf) | (upper == -np.inf) | (ends[0] * scale > ends[1] * scale)
         if is_crossed.any():
             raise UnsupportedModel(f"the lower bound of {side} is above the upper, or overflows")
-        sign = np.sign(scale) * np.ones(low.size)
-        if other.form == "nonnegative" and side.form != "nonnegative":
-            sign = sign_of_inequality(pair, low, high)
-        elif other.form == "value" and side.form == "nonnegative":
-            sign = sign * np.sign(weights)  # F ≤ 0 at an upper bound
+        sign = np.sign(scale) * sign_of_slack(pair, side, other, self.read(side))
         if side.form != "value":
             stated = (side.lower, side.upper) if side.form == "box" else (0.0, np.inf)
             self.bounds.append((columns, scale, expression, *stated))
         number = self.numbers.get(pair.id)
         name = partial(compat.row_of, other.expression, constraint=pair, number=number)
         rows, origin = self.read(other).rows, other.expression
-        self.statement.complement(columns, rows, low, high, sign, origin=origin, name=name)
+        self.statement.complement(columns, rows, lower, upper, sign, origin=origin, name=name)
         self._report(pair, (side, other), columns, sign, scale, offset, expression)
 
     def _report(
@@ -558,9 +554,12 @@ def friction_of(side: Side) -> Vector | None:
     return np.asarray(contacts + compat.bound_value(side.friction, side))
 
 
-def sign_of_inequality(pair: TwoSides, low: Vector, high: Vector) -> Vector:
-    """Return the sign of w for a stated G ≥ 0: w = G at a lower bound, and w = −G at an upper bound."""
-    has_low, has_high = np.isfinite(low), np.isfinite(high)
+def sign_of_slack(pair: TwoSides, side: Side, other: Side, read: ReadSide) -> Vector:
+    """Return the sign of w in the other side: of G ≥ 0, −1 at an upper bound; of F next to u ≥ 0, of u in z."""
+    has_low, has_high = np.isfinite(read.low), np.isfinite(read.high)
+    if side.form == "nonnegative" or other.form != "nonnegative":
+        is_turned = (side.form, other.form) == ("nonnegative", "value")
+        return np.ones(has_low.size) * (np.sign(read.weights) if is_turned else 1.0)
     if (has_low == has_high).any():
         raise UnsupportedModel(
             f"{pair!r} states an inequality opposite a variable that has two bounds, or none; give the expression "
@@ -599,9 +598,6 @@ def pair_residual(pair: TwoSides) -> Vector | None:
     if side.form == "cone":
         cones = ConePair(np.arange(z.size), side.rows, friction_of(side))
         return np.abs(cone_problem(np.eye(z.size), np.zeros(z.size), [cones]).residual(z, w))
-    *_, weights, _, low, high = model.read(side)
-    if other.form == "nonnegative" and side.form != "nonnegative":
-        w = np.where(np.isfinite(high) & ~np.isfinite(low), -w, w)
-    elif other.form == "value" and side.form == "nonnegative":
-        w = np.sign(weights) * w
-    return np.abs(np.minimum(np.maximum(w, z - high), z - low))
+    read = model.read(side)
+    w = sign_of_slack(pair, side, other, read) * w
+    return np.abs(np.minimum(np.maximum(w, z - read.high), z - read.low))

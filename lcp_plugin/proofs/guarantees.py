@@ -237,7 +237,7 @@ class Guarantee:
         return self.verdict == GUARANTEED
 
     def __str__(self) -> str:
-        speed = "" if self.rate is None else f"; an iteration contracts by {_rounded_up(self.rate)}"
+        speed = "" if self.rate is None else f"; an iteration contracts by {rounded_up(self.rate)}"
         speed += " in a weighted maximum norm" * bool(speed)
         speed += f" of {self.speaks_of}" * bool(speed and self.speaks_of != "z")
         remedy = self.remedy and f"remedy: {self.remedy}"
@@ -245,12 +245,12 @@ class Guarantee:
         return "\n".join(filter(None, (first, remedy)))
 
 
-def _rounded_up(rate: float) -> str:
+def rounded_up(rate: float) -> str:
     """Return the rate rounded up to three digits after the nines.
 
     Examples
     --------
-    >>> _rounded_up(0.81234), _rounded_up(0.999871234)
+    >>> rounded_up(0.81234), rounded_up(0.999871234)
     ('0.813', '0.999872')
     """
     places = 3 + max(0, -math.ceil(math.log10(1.0 - rate))) if rate < 1.0 else 17

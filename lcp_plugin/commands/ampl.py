@@ -11,6 +11,7 @@ import re
 import shlex
 import sys
 import warnings
+from contextlib import suppress
 from typing import TYPE_CHECKING, Any
 
 from .. import __version__
@@ -60,6 +61,12 @@ def replace_unknown_letters() -> None:
             stream.reconfigure(errors="replace")
 
 
+def drop_output() -> None:
+    """Discard the output that stdout could not write: Python would try again at its end, and exit with 120."""
+    with suppress(OSError):
+        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+
+
 def main(words: list[str], environment: str = "") -> int:
     """Run the requested command and return the exit code; failures are one line on stderr.
 
@@ -83,7 +90,7 @@ def main(words: list[str], environment: str = "") -> int:
         print(f"{TOOL}: interrupted", file=sys.stderr)
         return EXIT_INTERRUPTED
     except BrokenPipeError:  # the reader of the message has gone
-        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+        drop_output()
         return 0
     print(f"{TOOL}: {' '.join(message.split())}", file=sys.stderr)
     return EXIT_BAD_INPUT

@@ -3,10 +3,8 @@
 from __future__ import annotations
 
 import functools
-import os
 import sys
 from collections.abc import Callable
-from contextlib import suppress
 from pathlib import Path
 from typing import Annotated, Any, TypeVar
 
@@ -77,10 +75,10 @@ def command(name: str, exit_codes: str, *examples: str) -> Callable[[F], F]:
             except MemoryError as error:
                 message = f"not enough memory ({error}); choose a smaller problem"
             except BrokenPipeError:
-                _drop_output()
+                ampl.drop_output()
                 raise typer.Exit(EXIT_UNSOLVED) from None
             except OSError as error:
-                _drop_output()
+                ampl.drop_output()
                 message = f"cannot write {error.filename or 'output'}: {error.strerror or error}"
             typer.echo(f"lcp-plugin: {message}", err=True)
             raise typer.Exit(ampl.EXIT_BAD_INPUT)
@@ -89,12 +87,6 @@ def command(name: str, exit_codes: str, *examples: str) -> Callable[[F], F]:
         return body
 
     return registered
-
-
-def _drop_output() -> None:
-    """Discard the output that stdout could not write: Python would try again at its end, and exit with 120."""
-    with suppress(OSError), Path(os.devnull).open("w", encoding="utf-8") as nowhere:
-        os.dup2(nowhere.fileno(), sys.stdout.fileno())
 
 
 # --- The commands ---------------------------------------------------------------------------------------------

@@ -280,7 +280,7 @@ class Model:
 
     def add_pairs(self, pairs: Sequence[TwoSides]) -> None:
         """Read complementarities, first the pairs with only one side that can be the variable."""
-        order = sorted(pairs, key=lambda p: self._key(p.first)[:4] == self._key(p.second)[:4])
+        order = sorted(pairs, key=lambda p: self._key(p.first)[0] == self._key(p.second)[0])
         for pair in order:
             self._pair(pair, *self.sides(pair))
 
@@ -288,15 +288,14 @@ class Model:
         """Return the sides of a pair, first its variable: the side with bounds, of two such sides the unknowns."""
         return sorted((pair.first, pair.second), key=self._key)
 
-    def _key(self, side: Side) -> tuple[bool, ...]:
-        """Return a sort key of the sides of a pair; its natural variable comes first."""
+    def _key(self, side: Side) -> tuple[tuple[bool, ...], tuple[bool, ...]]:
+        """Return a sort key of the sides of a pair, by how it is stated, then by its unknowns; variables are first."""
         _, columns, _, _, low, high = self.read(side)
         is_plain, has_bounds = columns is not None, bool(np.isfinite((low, high)).any())
         is_paired = is_plain and bool(self.statement.is_paired[columns].any())
         is_defined = is_plain and bool(self.is_defined[columns].all())
-        forms = side.form == "zero", side.form not in ("box", "cone"), not has_bounds
-        is_part = not isinstance(side.expression, cp.Variable)
-        return *forms, not is_plain, is_paired, is_defined, is_part
+        stated = side.form == "zero", side.form not in ("box", "cone"), not has_bounds, not is_plain
+        return stated, (is_paired, is_defined, not isinstance(side.expression, cp.Variable))
 
     def read(self, side: Side) -> ReadSide:
         """Return the rows of a side, the unknowns that they are, and their bounds."""

@@ -262,14 +262,15 @@ class ConeRun(Run):
         progress: Progress,
         z: Vector | None,
         chosen: Any,
-        place: Any = None,
+        place: tuple[Any, Any, float] | None = None,
         swept: Swept | None = None,
     ) -> None:
         super().__init__(progress)
         self.swept = swept
         self.problem, self.chosen, self.stack = problem, chosen, cone_stack_of(problem)
         stack = self.stack
-        self.place = place or (np.empty(problem.n), slice(None), 1.0)
+        of_whole: tuple[Any, Any, float] = np.empty(problem.n), slice(None), 1.0
+        self.whole, self.part_rows, self.share = place or of_whole
         self.tolerance, self.absolute = self.settings.tolerance, self.settings.absolute_tolerance
         self.reached = max(self.tolerance, LEAST_GOAL) if self.absolute else self.tolerance
         if self.absolute:
@@ -296,9 +297,8 @@ class ConeRun(Run):
 
     def shown(self, step: Step) -> Vector:
         """Return the point of the entire problem."""
-        whole, rows, _ = self.place
-        whole[rows] = self.stack.pattern.flat(self.stack.snap(step.z))[0]
-        return read_only(whole.copy())
+        self.whole[self.part_rows] = self.stack.pattern.flat(self.stack.snap(step.z))[0]
+        return read_only(self.whole.copy())
 
     def end_of_stage(self, stage: Stage, end: Status) -> Status:
         """Measure the best point, except after sweeps that leave a residual."""
@@ -347,7 +347,7 @@ class ConeRun(Run):
             if step.z.ndim == 1:  # of an LCP
                 step.z = self.stack.pattern.wide(step.z[None])
                 step.residual = self.stack.relative_residual(step.z)
-            step.work = (step.work + self.unseen) * self.place[2]
+            step.work = (step.work + self.unseen) * self.share
             self.unseen = 0.0
             yield step
 
@@ -442,7 +442,7 @@ class ConeRun(Run):
         if pattern.labels is None:
             return False
         self.measure_best()
-        whole, labels = self.place[0], pattern.labels[0]
+        whole, labels = self.whole, pattern.labels[0]
         whole[:] = pattern.flat(self.best.z)[0]
         is_open = self.rows.of_blocks(self.best.by_row.fails(self.tolerance))[0]
         for label in np.unique(labels[is_open]).tolist():

@@ -380,11 +380,10 @@ class ProgramRun(Run):
         lcp_options = {**options, **self.options, "max_seconds": deadline.left()}
         if self.start is not None:
             lcp_options["z0"] = np.append(self.start, np.zeros(problem.n - self.start.size))
-        passing: Vector | None = None
+        passing: list[Vector] = []
 
         def ends_run(sample: Sample, z: Vector) -> bool:
             """Return whether the run ends: x passes the test, or the callback stops it."""
-            nonlocal passing
             if progress.callback is not None and progress.callback(sample, z):
                 progress.end = Status.INTERRUPTED
                 return True
@@ -394,8 +393,8 @@ class ProgramRun(Run):
             if sample.residual is not None and sample.residual <= 1e-4:
                 solution = QPSolution.from_reduced(self.program, z[:n], z[n:])
                 if solution.errors_for(tolerance).meet(tolerance):
-                    passing = z.copy()
-            return passing is not None
+                    passing.append(z.copy())
+            return bool(passing)
 
         try:
             # So small a tolerance that x nearly always passes the test of programs
@@ -407,7 +406,7 @@ class ProgramRun(Run):
             raise UnsupportedModel(f"{refusal} (M is that of {stated})") from refusal
         progress.samples += result.history
         found = result.certificate.z if result.has_no_solution else result.z
-        z = found if passing is None else passing
+        z = passing[0] if passing else found
         solution = QPSolution.from_reduced(self.program, z[:n], z[n:])
         point = ProgramPoint.of(solution, tolerance, result.algorithm, result.iterations)
         if result.status is Status.MAX_ITERATIONS and "max_iterations" in self.options:

@@ -415,8 +415,7 @@ def _measurements(
         scene = _build_problem(target, label, blank.size)
         measurement.fresh(scene.problem)
     except Exception as error:  # a function of the user may raise anything
-        for method in methods:
-            yield _entry(blank, method, "REFUSED", note=_note(error))
+        yield from [_entry(blank, method, "REFUSED", note=_note(error)) for method in methods]
         return
     kind, measure, reason = measurement.error_measure(scene, limits["max_seconds"])
     blank = replace(blank, n=scene.n, nonzeros=scene.problem.nonzeros, error_kind=kind)

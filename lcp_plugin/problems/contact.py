@@ -420,23 +420,17 @@ def contacts_of_bodies(
                 "write a single row as [[…]]"
             )
         equations = np.zeros((0, np.shape(mass)[-1]))
-    names = "the mass matrix", "normals", "tangents", "equations"
-    values = zip((mass, normals, tangents, equations), names, strict=True)
-    parts = [rectangular_matrix(*value, None, None) for value in values]
-    # Velocities of bodies whose dense matrices stay dense
-    is_sparse = any(map(sp.issparse, parts)) or parts[0].shape[0] > 300
-    mass, normals, tangents, joints = map(sp.csr_array, parts) if is_sparse else parts
-    v, k, p = mass.shape[1], normals.shape[0], joints.shape[0]
+    mass = rectangular_matrix(mass, "the mass matrix", None, None)
     check_symmetric(mass, "the mass matrix")
-    if normals.shape[1] != v:
-        raise InvalidProblem(
-            f"normals must have shape (k, {v}), {v} the size of the mass matrix, got {normals.shape}"
-        )
-    if joints.shape[1] != v:
-        raise InvalidProblem(f"equations must have shape (p, {v}), got {joints.shape}")
+    v = mass.shape[0]
+    others = ("normals", normals, v), ("tangents", tangents, None), ("equations", equations, v)
+    parts = [mass, *(rectangular_matrix(value, name, None, v) for name, value, v in others)]
+    # Velocities of bodies whose dense matrices stay dense
+    is_sparse = any(map(sp.issparse, parts)) or v > 300
+    mass, normals, tangents, joints = map(sp.csr_array, parts) if is_sparse else parts
+    k, p = normals.shape[0], joints.shape[0]
     t = tangents.shape[0] // max(k, 1)
-    has_other_contacts = len(shape) == 3 and shape[0] != k
-    if (k and t not in (1, 2)) or tangents.shape != (t * k, v) or has_other_contacts:
+    if (k and t not in (1, 2)) or tangents.shape != (t * k, v) or shape[:-2] not in ((), (k,)):
         raise InvalidProblem(
             f"tangents must have shape (k, t, {v}) or (t k, {v}), t = 2 in space and 1 in the plane, the t of a "
             f"contact one after the other, k = {k} as of the normals; got {shape}"

@@ -180,7 +180,7 @@ class PreparedProgram(PreparedProblem[QuadraticProgram]):
         base, least = problem.matrices, DAQP.defaults["iter_limit"]
         has_time = settings.max_iterations >= least and settings.max_seconds > 0.0
         is_bare = options.keys() <= DEFAULTS.keys() and algorithm in ("auto", "daqp")
-        is_dense = (base.counts > 1).all() and base.terms.is_dense
+        is_dense = (base.terms.counts > 1).all() and base.terms.is_dense
         if has_time and is_bare and is_dense and base.of_daqp and not settings.is_watched:
             vectors = {name: getattr(problem, name) for name in problem.vector_names}
             self._arrays = base.of_daqp, vectors

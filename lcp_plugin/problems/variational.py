@@ -85,20 +85,18 @@ def variational(
             f"over and constraints belong to a cvxpy expression F, got F of type {type(F).__name__}; write "
             "variational(F, G=…, h=…, A=…, b=…)"
         )
-    is_pair = isinstance(F, (tuple, list)) and len(F) == 2
-    first, second = F if is_pair else (F, None)  # type: Any, Any
-    if not callable(first) and second is None:
-        raise InvalidProblem(
-            f"F must be (M, q), (function, jacobian) or a function, got {type(F).__name__}; for F(x) = M x + q write "
-            "variational((M, q), …)"
-        )
+    first, second = F if isinstance(F, (tuple, list)) and len(F) == 2 else (F, None)
     rows = G, h, A, b, lower, upper
     if not callable(first):
+        if second is None:
+            raise InvalidProblem(
+                f"F must be (M, q), (function, jacobian) or a function, got {type(F).__name__}; for F(x) = M x + q "
+                "write variational((M, q), …)"
+            )
         pair = LCP(first, second)
         origin = QPOrigin(QuadraticProgram(None, np.zeros(pair.n), *rows), F=pair.slack)
-        reduced = origin.reduced
-        matrices = ProgramMatrices(pair.M, reduced.G, reduced.A)
-        vectors = (getattr(reduced, name) for name in VECTORS[1:])
+        matrices = ProgramMatrices(pair.M, origin.reduced.G, origin.reduced.A)
+        vectors = (getattr(origin.reduced, name) for name in VECTORS[1:])
         program = QuadraticProgram.with_matrices(matrices, pair.q, *vectors)
         return conditions(program, Names(origin.row_name)).with_origin(origin)
     sizes = [np.shape(array)[-1] for array in (lower, upper, G, A) if np.ndim(array)]

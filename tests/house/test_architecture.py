@@ -38,7 +38,7 @@ LARGE = 150  # lines of code, without docstrings, that a reader holds together
 LARGE_CLASSES = {
     *("Statement", "Model", "RowData", "EquilibriumProgram", "AgentProgram", "FreeSystem"),
     *("BranchAndBound", "LCPRun", "ProgramRun", "_Model", "ConeRun", "_Reader", "ExactSimplex"),
-    *("QuadraticProgram", "LemkePath", "JosephyNewton", "BatchRun", "ProgramMatrices"),
+    *("QuadraticProgram", "LemkePath", "JosephyNewton"),
 }
 LONG = 45  # lines of code of a function
 REASONS = {
@@ -49,10 +49,6 @@ REASONS = {
     "cross_validate": "the reasons for agree, mismatch and not comparable, in their order",
     "regression_of": "the conditions under which a program states a regression, in their order",
     "certify": "one verb for all classes and models, each with its refusal",
-    "variational": "one verb for affine, nonlinear and modeled F, each with its refusals",
-    "contacts_of_bodies": "the checks of masses, normals and tangents, in the order in which they are read",
-    "solve_nonlinear": "the checks of the options of a class, then one run",
-    "_measurements": "the rows of a study in their order, and each exception of code of the user",
     "_next_vertex": "a kernel: one step of many paths, traced as one expression",
 }
 # names that play one role in several files: the reader who knows one knows all

@@ -92,9 +92,8 @@ class BatchRun:
 
     def _answers(self) -> BatchAnswers:
         self.callback = None  # which need not be picklable
-        end = Status.INTERRUPTED if self.is_interrupted else Status.MAX_SECONDS
-        self.status[self.is_open] = end
-        self.seconds = self.clock.read()
+        ended = Status.INTERRUPTED if self.is_interrupted else Status.MAX_SECONDS
+        self.status[self.is_open], self.seconds = ended, self.clock.read()
         return BatchAnswers(self)
 
     def _solve_stacks(self) -> None:
@@ -121,8 +120,7 @@ class BatchRun:
 
     def _take(self, items: Any, z: Array, residual: Array, iterations: Any, is_solved: Any) -> None:
         """Keep the solved problems of a stack."""
-        good = np.flatnonzero(is_solved & self.is_open[items])
-        at = items[good]
+        at = items[good := np.flatnonzero(is_solved & self.is_open[items])]
         if isinstance(self.z, np.ndarray):
             self.z[at] = z[good]
         else:
@@ -134,10 +132,9 @@ class BatchRun:
     def _solve_others(self) -> None:
         """Solve the other problems by themselves, while there is time."""
         for k in np.flatnonzero(self.is_open).tolist():
-            if not self.has_time():
-                return
-            self._keep(k, self._solve(k))
-            self.report()
+            if self.has_time():
+                self._keep(k, self._solve(k))
+                self.report()
 
     def _solve(self, k: int) -> Any:
         """Return the result of problem k, or its error."""
@@ -195,8 +192,8 @@ class BatchRun:
         if isinstance(problem, BoundedLeastSquares):
             with np.errstate(all="ignore"):
                 point = Optimality.of(Enclosures(problem), z, tolerance=settings.tolerance)
-                named = {"status": Status.SOLVED, "algorithm": "normal equations"}
-                return LeastSquaresResult.at(point, **named, **run)
+                by = "normal equations"
+                return LeastSquaresResult.at(point, status=Status.SOLVED, algorithm=by, **run)
         if isinstance(problem, LCP):
             chosen = method_of(self.algorithm, {})
             name = "rounds" if chosen is None else chosen.name

@@ -144,8 +144,7 @@ def solve_nonlinear(
         try:
             if has_doubts:
                 begun = "; ".join(filter(None, (begun, jacobian_warning(first))))
-            steps = newton.iterates(problem, first.x)
-            end = run.follow_all([Stage(newton, TANGENTS, steps=steps)])
+            end = run.follow_all([Stage(newton, TANGENTS, steps=newton.iterates(problem, first.x))])
         except KeyboardInterrupt:
             end = Status.INTERRUPTED
         return run.result(end, begun)

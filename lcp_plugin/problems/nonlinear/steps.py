@@ -16,6 +16,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterator
+from dataclasses import replace
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -252,12 +253,11 @@ def _stages_of_step(problem: LCP, method: Algorithm | None, goal: float) -> Iter
     for stage in plan(problem, method, goal, prove_infeasibility=False):
         if stage.algorithm in tried:
             return
-        if tried and isinstance(stage.algorithm, Lemke):
-            stage.algorithm = Lemke(restarts=2)
+        if isinstance(stage.algorithm, Lemke):
+            yield replace(stage, algorithm=Lemke(restarts=2)) if tried else stage
+            return
         tried.append(stage.algorithm)
         yield stage
-        if isinstance(stage.algorithm, Lemke):
-            return
 
 
 def solve_within(problem: LCP, algorithm: str | Algorithm, tolerance: float) -> Result:

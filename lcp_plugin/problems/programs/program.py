@@ -478,7 +478,7 @@ class FoldedRows:
     def of(cls, program: QuadraticProgram) -> FoldedRows:
         """Return the reduction of a program; `QuadraticProgram.folded` keeps it."""
         matrices, right = program.matrices, np.concatenate([program.h, program.b])
-        if (matrices.counts > 1).all() and np.isfinite(right).all():
+        if (matrices.terms.counts > 1).all() and np.isfinite(right).all():
             none = np.full(program.n, NO_ROW)
             return cls(program, program, np.arange(right.size), none, none, np.ones(right.size))
         is_equality = matrices.is_equality[: right.size]
@@ -497,10 +497,10 @@ class FoldedRows:
         upper = np.where(contradicts, program.upper, upper)
         lower_row[contradicts] = upper_row[contradicts] = NO_ROW
 
-        others = np.abs(right[(matrices.counts > 0) & (right < np.inf) & (right != 0.0)])
+        others = np.abs(right[(matrices.terms.counts > 0) & (right < np.inf) & (right != 0.0)])
         rounding = UNIT * others.min() if others.size else 0.0
         holds = np.where(is_equality, np.abs(right) <= rounding, right >= -rounding)
-        stays = ~(holds & (matrices.counts == 0) | (right == np.inf))
+        stays = ~(holds & (matrices.terms.counts == 0) | (right == np.inf))
         stays[rows[~contradicts[columns]]] = False
         left = np.flatnonzero(stays)
         folded, m = program, program.h.size

@@ -37,8 +37,6 @@ MOST_WORK, COUPLED_UP_TO = 4000.0, 1000
 class ProgramMatrices:
     """P, G and A of a program, checked and read-only; each fact about them is computed once.
 
-    It is one class because programs with other vectors share all of these facts at once.
-
     Attributes
     ----------
     P, G, A : ndarray or canonical CSR array, shapes (n, n), (m, n), (p, n)
@@ -124,11 +122,6 @@ class ProgramMatrices:
         """Units of unknowns and of rows, powers of two, that bring the entries of P, G and A to 1 (`fitted_units`)."""
         return fitted_units(*self.stacked)
 
-    @property
-    def counts(self) -> Indices:
-        """Number of entries of each row of [G; A]."""
-        return self.terms.counts
-
     @cached_property
     def is_small(self) -> bool:
         """True if a program with these matrices is small or dense: for daqp."""
@@ -149,7 +142,7 @@ class ProgramMatrices:
     @cached_property
     def singletons(self) -> tuple[Indices, Indices, Vector]:
         """Rows of [G; A] with one entry, their columns, and for all rows this entry, or 1."""
-        C, counts = self.stacked[1], self.counts
+        C, counts = self.stacked[1], self.terms.counts
         rows, coefficient = np.flatnonzero(counts == 1), np.ones(counts.size)
         if sp.issparse(C):
             places = C.indptr[rows]
@@ -223,7 +216,7 @@ class ProgramMatrices:
         of_column = np.bincount(np.append(P.indices, C.indices), minlength=P.shape[0])
         coupled = np.count_nonzero(of_column > 1)
         if is_diagonal(P):
-            coupled = min(coupled, np.count_nonzero(self.counts > 1))
+            coupled = min(coupled, np.count_nonzero(self.terms.counts > 1))
         most = MOST_WORK * float(sum(self.entries) + sum(C.shape))
         if coupled <= COUPLED_UP_TO or coupled**3 / 3.0 <= most:
             return False

@@ -81,7 +81,7 @@ LCP.from_contacts(np.tri(3), 0.5, FALL) → W must be symmetric.*same J
 LCP.from_contacts(np.ones((3, 2)), 0.5, FALL) → W must be square
 LCP.from_contacts((np.diag([1.0, 1.0, 0.0]), *BODY[1:]), 0.5, np.zeros(3)) → positive definite
 LCP.from_contacts(BODY[:2], 0.5, FALL) → got 2 arrays
-LCP.from_contacts((EYE, [[0, 1]], [[[1, 0]]]), 0.5, FALL) → normals must have shape \(k, 3\)
+LCP.from_contacts((EYE, [[0, 1]], [[[1, 0]]]), 0.5, FALL) → normals must be a real matrix with 3 columns
 LCP.from_contacts((EYE, [[0, 0, 1]], [[[1, 0, 0]]] * 2), 0.5, FALL) → tangents must .*k = 1
 LCP.from_contacts(EYE, 0.5, FALL, 2) → even number ≥ 4, got 2; leave directions out in the plane
 LCP.from_contacts(EYE, 0.5, FALL, 5) → even number ≥ 4.*got 5

@@ -83,7 +83,7 @@ MASS, NORMALS, TANGENTS, VELOCITIES = scene(4, 5)
 FrictionalContact((MASS, NORMALS, TANGENTS[:7]), VELOCITIES, 0.5)
     → tangents must have shape \(k, t, 24\) or \(t k, 24\), t = 2
 FrictionalContact((MASS, NORMALS[:, :9], TANGENTS), VELOCITIES, 0.5)
-    → normals must have shape \(k, 24\), 24 the size of the
+    → normals must be a real matrix with 24 columns, got
 FrictionalContact((-MASS, NORMALS, TANGENTS), VELOCITIES, 0.5) → the mass matrix must be positive definite
 FrictionalContact((MASS[:, :9], NORMALS, TANGENTS), VELOCITIES, 0.5)
     → the mass matrix must be square, got shape \(24, 9\)

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from functools import cached_property
+import sys
 from operator import attrgetter
 from typing import Any, Self
 
@@ -18,7 +18,7 @@ from .names import Names, checked_names, describe_lcp, shared_labels
 from .problem import Problem, check_labels
 from .problem_classes import Door
 
-DATA = "matrix", "n", "q", "lower", "upper", "names", "origin"
+DATA = "matrix", "n", "origin", "q", "lower", "upper", "names", "nearest_to_zero"
 
 
 class LCP(Problem):
@@ -67,6 +67,7 @@ class LCP(Problem):
     upper: Vector
     origin: Any
     names: Names
+    nearest_to_zero: Vector  # z°, the point of the bounds nearest to 0
     _facts: dict[Any, Any]
 
     # Their types: lcp_plugin/__init__.pyi
@@ -83,21 +84,22 @@ class LCP(Problem):
         upper: ArrayLike = np.inf,
         names: Any = None,
     ) -> None:
-        labels = shared_labels(self.axes, locals())
-        shared_labels(("M zz", "q z", "lower z", "upper z"), locals())
-        if labels and names is None:
-            names = Names(labels.get("w"), labels.get("z"))
+        if "pandas" in sys.modules:
+            labels = shared_labels(self.axes, locals())
+            shared_labels(("M zz", "q z", "lower z", "upper z"), locals())
+            if labels and names is None:
+                names = Names(labels.get("w"), labels.get("z"))
         matrix = M if isinstance(M, Matrix) else Matrix(M)
         n = matrix.n
         q, (lower, upper) = _checked_q(q, n), checked_bounds(lower, upper, n)
-        self._keep(matrix, q, lower, upper, checked_names(names, n, n, are_pairs=True))
+        names = checked_names(names, n, n, are_pairs=True)
+        nearest = read_only(clip(0.0, lower, upper))
+        self._keep(matrix, q, lower, upper, names, nearest)
 
-    def _keep(
-        self, matrix: Matrix, q: Vector, lower: Vector, upper: Vector, names: Names, **known: Any
-    ) -> Self:
-        """Write checked data into this new problem."""
-        data = zip(DATA, (matrix, matrix.n, q, lower, upper, names, None), strict=True)
-        return checks.fill(self, **(dict(data) | known), _facts={})
+    def _keep(self, matrix: Matrix, *data: object, origin: object = None) -> Self:
+        """Write checked data into this new problem, in the order of `DATA`."""
+        of = dict(zip(DATA, (matrix, matrix.n, origin, *data), strict=True))
+        return checks.fill(self, **of, _facts={})
 
     def __setattr__(self, name: str, value: object) -> None:
         """Raise AttributeError, because facts about the problem are cached."""
@@ -112,21 +114,17 @@ class LCP(Problem):
         ----------
         origin : object
         """
-        data = self.matrix, self.q, self.lower, self.upper, self.names
-        return object.__new__(type(self))._keep(*data, origin=origin)
+        data = (getattr(self, name) for name in DATA[3:])
+        return object.__new__(type(self))._keep(self.matrix, *data, origin=origin)
 
     M = property(attrgetter("matrix.array"), doc="Stored matrix, CSR or small and dense, (n, n).")
     csr = property(attrgetter("matrix.csr"), doc="M as canonical, read-only CSR, shape (n, n).")
-
-    @property
-    def is_dense(self) -> bool:
-        """True if M is stored as an ndarray."""
-        return self.matrix.is_dense
-
-    @property
-    def nonzeros(self) -> int:
-        """Number of nonzero entries of M."""
-        return self.matrix.nonzeros
+    is_dense = property(attrgetter("matrix.is_dense"), doc="True if M is stored as an ndarray.")
+    diagonal = property(attrgetter("matrix.diagonal"), doc="The diagonal of M, shape (n,).")
+    residual_scale = property(
+        attrgetter("matrix.residual_scale"), doc=Matrix.residual_scale.__doc__
+    )
+    nonzeros = property(attrgetter("matrix.nonzeros"), doc="Number of nonzero entries of M.")
 
     @property
     def is_plain(self) -> bool:
@@ -137,21 +135,6 @@ class LCP(Problem):
     def is_kkt(self) -> bool:
         """True for the optimality conditions of a program with rows."""
         return getattr(self.origin, "form", "") == "kkt"
-
-    @property
-    def diagonal(self) -> Vector:
-        """The diagonal of M, shape (n,)."""
-        return self.matrix.diagonal
-
-    @property
-    def residual_scale(self) -> Vector:
-        """D of the scaled residual, shape (n,); see :attr:`lcp_plugin.core.matrix.Matrix.residual_scale`."""
-        return self.matrix.residual_scale
-
-    @cached_property
-    def nearest_to_zero(self) -> Vector:
-        """z°, the point of [lower, upper] nearest to 0, shape (n,)."""
-        return read_only(clip(0.0, self.lower, self.upper))
 
     def slack(self, z: ArrayLike) -> Vector:
         """Return w = M z + q, shape (n,).
@@ -194,8 +177,8 @@ class LCP(Problem):
         if lower is not None or upper is not None:
             bounds = self.lower if lower is None else lower, self.upper if upper is None else upper
             return LCP(self.matrix, q, lower=bounds[0], upper=bounds[1], names=self.names)
-        data = self.matrix, _checked_q(q, self.n), self.lower, self.upper, self.names
-        return object.__new__(LCP)._keep(*data, nearest_to_zero=self.nearest_to_zero)
+        others = (getattr(self, name) for name in DATA[4:])
+        return object.__new__(LCP)._keep(self.matrix, _checked_q(q, self.n), *others)
 
     __repr__ = describe_lcp
 

@@ -37,7 +37,7 @@ class fact(Generic[T, *Ts]):  # noqa: N801 - a decorator
     """
 
     def __init__(self, compute: Callable[[Any, *Ts], T]) -> None:
-        self._compute = compute
+        self._compute = np.errstate(all="ignore")(compute)  # an overflow shows in the value
         update_wrapper(self, compute)
 
     def __call__(self, matrix: Any, *args: *Ts) -> T:
@@ -45,7 +45,7 @@ class fact(Generic[T, *Ts]):  # noqa: N801 - a decorator
         key, facts = (self, *args), matrix._facts
         if key not in facts:
             owner = getattr(matrix, "matrix", matrix)  # of a problem
-            with owner._lock, np.errstate(all="ignore"):  # an overflow shows in the value
+            with owner._lock:
                 if key not in facts:
                     facts[key] = self._compute(matrix, *args)
         value: T = facts[key]

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import sys
 from typing import Any, ClassVar
 
 from .names import shared_labels
@@ -43,7 +44,7 @@ class Problem:
 
 def check_labels(problem: Any, data: dict[str, Any]) -> None:
     """Raise InvalidProblem if labels of pandas in `data` are names of a problem in another order."""
-    if isinstance(problem, Problem):
+    if "pandas" in sys.modules and isinstance(problem, Problem):
         rows, unknowns = getattr(problem, "names", None) or (None, None)
         known = {"w": rows or unknowns, "z": unknowns, "x": unknowns}
         if isinstance(rows, list):

@@ -570,32 +570,32 @@ def bound_residual(data: RowData, z: Vector, tolerance: float, most: Any = INF) 
     """
     if not z.size:
         return INF
-    origin, size = data.origin, np.abs(z)
-    products, at_0, rounding_at_0 = data.absolute @ size, data.q, 0.0
-    w, terms = data.M @ z + data.q, products + np.abs(data.q)
-    margin = 2.0 * EPSILON * (z.size + 8)
-    if origin.any():
-        at_0 = data.M @ origin + data.q
-        terms_at_0 = data.absolute @ np.abs(origin) + np.abs(data.q)
-        rounding_at_0 = (margin * terms_at_0 + SMALLEST**2) / data.scale
+    origin, scale, size_of_q, at_0 = data.origin, data.scale, np.abs(data.q), data.q
+    products = data.absolute.dot(np.abs(z))
+    w, terms = data.M.dot(z) + data.q, products + size_of_q
     above, below = z - data.lower, data.upper - z
-    is_above, is_below = above > 0.0, below > 0.0
-    violation = np.maximum(w * is_above, -w * is_below)
-    rounding = np.where(products > 0.0, margin * terms + SMALLEST**2, 0.0)
-    residual = (violation + rounding) / data.scale
-    step_at_0 = np.abs(clip(at_0 / data.scale, origin - data.upper, origin - data.lower))
-    of_free = np.where(is_above & is_below, terms / data.scale, 0.0)
+    # a violation that reaches a bound is at least the gap
+    violation = np.abs(clip(w, -scale * below, scale * above))
+    margin = 2.0 * EPSILON * (z.size + 8)
+    residual = (violation + (margin * terms + SMALLEST**2) * (products > 0.0)) / scale
+    nearest, farthest = np.minimum(above, below), np.maximum(above, below)
+    is_free = nearest > 0.0
+    if is_shifted := origin.any():
+        at_0 = data.M.dot(origin) + data.q
+    first = np.abs(clip(at_0 / scale, origin - data.upper, origin - data.lower))
+    if is_shifted:
+        terms_at_0 = data.absolute.dot(np.abs(origin)) + size_of_q
+        first -= (margin * terms_at_0 + SMALLEST**2) / scale
     top: Any = np.maximum.reduce if data.labels is None else data.largest
-    gap = np.minimum(np.where(is_above, above, np.inf), np.where(is_below, below, np.inf))
-    largest, first = top(residual), top(step_at_0 - rounding_at_0)
-    reference = np.minimum(np.minimum(first, most), top(of_free))  # or less
-    is_right = (residual < 0.999 * gap) & (violation <= 0.5 * NEGLIGIBLE * terms)
-    is_right &= (first > 0.0) | (top(np.abs(z - origin)) == 0.0)
-    is_right &= (1.001 * largest <= 0.5 * tolerance * reference) & (terms < np.inf)
-    if not np.logical_and.reduce(is_right):
+    largest, first = top(residual), top(first)
+    reference = np.minimum(np.minimum(first, most), top(terms / scale * is_free))  # or less
+    is_right = (residual < 0.999 * np.where(is_free, nearest, farthest)) | (farthest <= 0.0)
+    is_right &= violation <= 0.5 * NEGLIGIBLE * terms
+    if not (first > 0.0).all():
+        is_right &= (first > 0.0) | (top(np.abs(z - origin)) == 0.0)
+    if not np.logical_and.reduce(is_right & (1.001 * largest <= 0.5 * tolerance * reference)):
         return INF
-    bounds = np.where(largest > 0.0, 1.001 * largest / reference, 0.0)
-    return float(np.maximum.reduce(bounds, axis=None, initial=0.0))
+    return float((1.001 * largest / np.maximum(reference, NORMAL)).max(initial=0.0))
 
 
 @kernel

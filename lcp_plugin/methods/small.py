@@ -16,7 +16,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cache
 from importlib.util import find_spec
 from typing import Any, ClassVar
@@ -60,15 +60,15 @@ class Rounds(Algorithm):
         """Return the points at which the rounds end, and the ends of the paths, if the problem is small."""
         return self._points(problem, z0) if takes_rounds(problem) and not problem.is_kkt else None
 
-    def iterates(self, problem: LCP, z0: Vector) -> Iterator[Step]:
-        """Yield the start; `first_points` has all points."""
-        yield Step(z0, work=0.0)
-
     def _points(self, problem: LCP, z0: Vector) -> Iterator[Step]:
-        data, unit = dense_data(problem), max(problem.nonzeros, 1)
+        data, unit = dense_data(problem), max(problem.matrix.nonzeros, 1)
         for label, z, entries in candidates(data, z0):
             if np.isfinite(z).all():
                 yield Step(normal(data, z), work=entries / unit, label=label)
+
+    def iterates(self, problem: LCP, z0: Vector) -> Iterator[Step]:
+        """Yield the start; `first_points` has all points."""
+        yield Step(z0, work=0.0)
 
 
 def measure_small(problem: LCP, z: Vector, settings: Settings) -> Measured:
@@ -109,9 +109,7 @@ def dense_data(problem: LCP) -> RowData:
     """Return the data of the criterion of a problem, M dense."""
     data = row_data(problem)
     if not problem.matrix.is_dense:
-        M, bounds = data.M.toarray(), (data.lower, data.upper)
-        rows = data.scale, data.labels, data.origin
-        data = RowData(M, np.abs(M), data.q, *bounds, *rows)
+        data = replace(data, M=data.M.toarray(), absolute=data.absolute.toarray())
     return data
 
 
@@ -223,11 +221,15 @@ def _bounded_points(
 
 @kernel
 def follow_one(M, q, lower, upper, start, tilts, tolerance, z, bound):  # type: ignore[no-untyped-def]
-    """Write the end of the path of one problem, without free unknowns, and the bound of its residual, ∞ if in doubt.
+    """Write the end of the path of one problem, and the bound of its residual, ∞ if in doubt.
 
-    A z that the sufficient test accepts stays; NaN if there is none.
+    A z that the sufficient test accepts stays; NaN if there is none. The bound is NaN if there are free unknowns.
     """
     n = q.shape[1]
+    for i in range(n):
+        if lower[0, i] == -INF and upper[0, i] == INF:
+            bound[0] = np.nan
+            return
     T, numbers = np.empty((n + 9, n + 1)), np.empty((2, 2 * n + 1), np.int64)
     sides = np.empty((1, n), np.int64)
     bound[0] = INF
@@ -240,27 +242,26 @@ def follow_one(M, q, lower, upper, start, tilts, tolerance, z, bound):  # type: 
             bound_residuals(M, q, lower, upper, start, tolerance, T, z, bound)
 
 
-def path_steps(problem: LCP, tolerance: float, z0: Vector | None = None) -> Iterator[Step]:
-    """Yield the point of the active set of z0 if the quick test accepts it, and the end of Lemke's compiled path.
+def path_steps(problem: LCP, tolerance: float, z0: Vector) -> Iterator[Step]:
+    """Yield the point of the active set of a start if the quick test accepts it, and the end of Lemke's compiled path.
 
     A stack of one: the compiled loop has the same bits. A path on a ray is left out.
     """
-    arrays = arrays_of_one(problem)
-    for start in (None,) if z0 is None else (z0, None):
-        if start is not None:
-            step = problem.slack(start) / problem.residual_scale
-            is_low, is_high = step >= start - problem.lower, step <= start - problem.upper
-            sides = np.where(is_low, LOW, FREE + is_high)[None]
-            z, bound = _bounded_points(*arrays, sides, tolerance)
-        elif unbounded(problem.lower, problem.upper).any():
-            z, bound = _bounded_points(*arrays, _ends_of_paths(*arrays[:4]), tolerance)
-        else:
-            z, bound = np.full((1, problem.n), np.nan), np.empty(1)
-            follow_one(*arrays, tilts(problem.n), tolerance, z, bound)
-        x, is_certain = read_only(z[0]), bool(bound[0] < math.inf)
-        measured = Measured(x, float(bound[0]), passes=True) if is_certain else None
-        if is_certain or (start is None and math.isfinite(x[0])):
-            yield Step(x, work=float(problem.n), is_settling=True, measured=measured)
+    arrays, origin, work = arrays_of_one(problem), problem.nearest_to_zero, float(problem.n)
+    if z0 is not origin and (z0 != origin).any():
+        step = problem.slack(z0) / problem.residual_scale
+        is_low, is_high = step >= z0 - problem.lower, step <= z0 - problem.upper
+        (z,), (bound,) = _bounded_points(
+            *arrays, np.where(is_low, LOW, FREE + is_high)[None], tolerance
+        )
+        if bound < math.inf:
+            yield Step(z, work=work, is_settling=True, measured=Measured(z, float(bound), True))
+    z, bound = end_of_path(arrays, tolerance)
+    if math.isnan(bound):
+        (z,), (bound,) = _bounded_points(*arrays, _ends_of_paths(*arrays[:4]), tolerance)
+    if math.isfinite(z[0]):
+        measured = Measured(z, float(bound), True) if bound < math.inf else None
+        yield Step(z, work=work, is_settling=True, measured=measured)
 
 
 def arrays_of_one(problem: LCP) -> tuple[Vector, Vector, Vector, Vector, Vector]:
@@ -268,6 +269,15 @@ def arrays_of_one(problem: LCP) -> tuple[Vector, Vector, Vector, Vector, Vector]
     M = read_only(problem.matrix.toarray())
     q, lower, upper, start = problem.q, problem.lower, problem.upper, problem.nearest_to_zero
     return M[None], q[None], lower[None], upper[None], start[None]
+
+
+def end_of_path(arrays: Array, tolerance: float, start: Array = math.nan) -> tuple[Vector, float]:
+    """Return the start if the quick test accepts it, else the end of the path; and the bound of :func:`follow_one`."""
+    n = arrays[1].shape[1]
+    z, bound = np.empty((1, n)), np.empty(1)
+    z[0] = start
+    follow_one(*arrays, tilts(n), tolerance, z, bound)
+    return z[0], float(bound[0])
 
 
 def _select(arrays: Array, items: Indices) -> list[Any]:
@@ -377,12 +387,12 @@ def guess(data: RowData) -> Vector | None:
             return None
     z: Vector = data.origin
     pivot, half = 1.0 / RELAXATION + 3.0, z.size // 2
+    corner, pivots = data.M[half:, :half], pivot * data.scale[half:]
     for _ in range(START_SWEEPS):
-        step = (data.M @ z + data.q) / data.scale
+        step = (data.M.dot(z) + data.q) / data.scale
         change = clip(step, z - data.upper, z - data.lower) * (2.0 / pivot)
         new = clip(z - change, data.lower, data.upper)
-        more = data.M[half:, :half] @ (new[:half] - z[:half])
-        change[half:] += more / (pivot * data.scale[half:])
+        change[half:] += corner.dot(new[:half] - z[:half]) / pivots
         z = clip(z - change, data.lower, data.upper)
     return z
 
@@ -396,7 +406,7 @@ def active_point(M: Vector, q: Vector, lower: Vector, upper: Vector, side: Indic
     block, right = M, -q
     if free.size < z.size:
         z[free] = 0.0
-        block, right = M[free[:, None], free], -(M @ z + q)[free]
+        block, right = M[free[:, None], free], -(M.dot(z) + q)[free]
     try:
         z[free] = np.linalg.solve(block, right)
     except LinAlgError:
@@ -434,11 +444,11 @@ def rounds(data: RowData, z: Vector) -> Vector:
     M, q, lower, upper, scale = data.M, data.q, data.lower, data.upper, data.scale
     before, fewest, idle = None, z.size + 1, 0
     for _ in range(ROUNDS):
-        step = (M @ z + q) / scale
+        step = (M.dot(z) + q) / scale
         side = np.where(step >= z - lower, LOW, FREE + (step <= z - upper))
-        changes = z.size if before is None else int(np.add.reduce(side != before))
+        changes = z.size if before is None else int(np.count_nonzero(side != before))
         idle, fewest = (idle + 1, fewest) if changes >= fewest else (0, changes)
-        if not changes or idle > IDLE or not step @ step >= 0.0:  # NaN: a singular block
+        if not changes or idle > IDLE or not step.dot(step) >= 0.0:  # NaN: a singular block
             break
         before = side
         z = active_point(M, q, lower, upper, side)

@@ -15,6 +15,7 @@ import numpy as np
 from ..core.checks import (
     DOUBLE,
     INFINITE_LIMIT,
+    Array,
     Vector,
     checked_bounds,
     checked_start,
@@ -22,7 +23,7 @@ from ..core.checks import (
     read_only,
 )
 from ..core.deadline import Clock
-from ..core.entries import clip, unbounded
+from ..core.entries import clip
 from ..core.errors import InvalidOption, did_you_mean
 from ..core.lcp import LCP
 from ..core.problem import check_labels
@@ -30,12 +31,13 @@ from ..core.problem_classes import class_of
 from ..core.settings import DEFAULTS, Status, flag
 from ..engines.engine import EngineStatus
 from ..engines.solvers import DAQP, ends_of_rows
-from ..judges.lcp import Measured
+from ..judges.lcp import Measured, row_data
 from ..judges.program import JudgedProgram, sharp_errors
 from ..methods.lemke import Lemke
-from ..methods.small import LOOP_UP_TO, arrays_of_one, follow_one, has_numba, is_small, tilts
+from ..methods.small import LOOP_UP_TO, arrays_of_one, end_of_path, has_numba, is_small
 from ..solving.dispatch import parse_call, solver_with
 from ..solving.result import NOTHING_TO_DO, Result, StageRecord
+from ..solving.run import with_samples
 from .programs.program import QuadraticProgram, refuse_nonconvex
 from .programs.result import QuadraticProgramResult
 from .programs.solution import QPSolution
@@ -77,7 +79,7 @@ class PreparedProblem(Generic[P]):
         """
         if values:
             raise InvalidOption(f"data have names: write step.solve({self._known[1]}=…)")
-        if unknown := data.keys() - set(self._known):
+        if unknown := data.keys() - self._known:
             name, known = min(unknown), [*self._known, "warm"]
             hint = "; the linear term is called c" if name == "q" and "c" in known else ""
             hint = hint or f"{did_you_mean(name, known)}; options of a run belong to prepare"
@@ -105,21 +107,19 @@ class PreparedLCP(PreparedProblem[LCP]):
     def __init__(self, problem: LCP, algorithm: Any, options: dict[str, Any]) -> None:
         super().__init__(problem, algorithm, options)
         self._method, self._settings = parse_call(algorithm, dict(options))
-        settings, is_free = self._settings, unbounded(problem.lower, problem.upper).any()
-        is_path = "z0" not in options and self._method in (None, Lemke()) and has_numba()
-        is_watched = settings.is_watched or options.get("callback") is not None
+        settings, is_free = self._settings, options.keys().isdisjoint({"z0", "callback"})
+        is_path = is_free and self._method in (None, Lemke()) and has_numba()
         has_time = settings.max_iterations and settings.max_seconds > 0.0
-        self._arrays: Any = None
-        is_short = is_path and has_time and not (is_watched or is_free)
-        if is_short and is_small(problem) and problem.n <= LOOP_UP_TO:
-            self._arrays = arrays_of_one(problem)
+        is_short = is_path and has_time and is_small(problem) and problem.n <= LOOP_UP_TO
+        self._arrays: Any = arrays_of_one(problem) if is_short else None
 
     def _solve_quickly(self, start: Any, **data: Any) -> Any:
         """Return the start or the end of Lemke's path if the quick test accepts it; NaN and infinities do not pass."""
         if self._arrays is None:
             return None
-        clock, (A, b, low, high, nearest), n = Clock(), self._arrays, self.problem.n
-        q, M, lower, upper = (data.get(name) for name in ("q", "M", "lower", "upper"))
+        clock, settings, n = Clock(), self._settings, self.problem.n
+        A, b, low, high, nearest = self._arrays
+        q, M, lower, upper = map(data.get, ("q", "M", "lower", "upper"))
         if q is not None:
             b = copied(q, "q", n)[np.newaxis]
         if M is not None:
@@ -129,24 +129,29 @@ class PreparedLCP(PreparedProblem[LCP]):
             bounds = low[0] if lower is None else lower, high[0] if upper is None else upper
             low, high = (row[np.newaxis] for row in checked_bounds(*bounds, n))
             nearest = read_only(clip(0.0, low, high))
-        z, bound, near = np.full((1, n), np.nan), np.empty(1), nearest[0]
         if start is not None:
-            is_right = is_plain(start, n) and start @ start < math.inf
-            z[0] = near = start.copy() if is_right else checked_start(self.problem, start)
-        follow_one(A, b, low, high, nearest, tilts(n), self._settings.tolerance, z, bound)
-        if not bound[0] < math.inf:
+            is_right = is_plain(start, n) and start.dot(start) < math.inf
+            start = start.copy() if is_right else checked_start(self.problem, start)
+        arrays = A, b, low, high, nearest
+        z, bound = end_of_path(arrays, settings.tolerance, math.nan if start is None else start)
+        if not bound < math.inf:
             return None
-        z, known = read_only(z[0]), dict[str, Any]()
-        if any(each is not None for each in (q, M, lower, upper)):
-            known = {"q": b[0], "lower": low[0], "upper": high[0]}
-            known |= {} if M is None else {"M": A[0]}
-        make = partial(self._record, known, near, z, clock.read())
-        return Result.of_known(make, z=z, status=Status.SOLVED, _asked=self._method)
+        start = nearest[0] if start is None else start
+        make = partial(self._record, arrays, start, z, clock.read())
+        fixed = {"status": Status.SOLVED, "absolute_tolerance": settings.absolute_tolerance}
+        result = Result.of_known(make, z=read_only(z), **fixed, _asked=self._method)
+        if not settings.is_watched:
+            return result
+        problem = result.certificate.problem
+        begun = start, row_data(problem).estimate(start)
+        return with_samples(problem, result, settings, None, begun, result.residual)
 
-    def _record(self, data: dict[str, Any], near: Vector, z: Vector, seconds: float) -> Result:
+    def _record(self, arrays: Array, start: Vector, z: Vector, seconds: float) -> Result:
         """Return the result of the short way with all fields."""
-        problem = self.problem.with_data(**data) if data else self.problem
-        is_start = (z == near).all()
+        parts = zip(("M", *LCP.vector_names), arrays, self._arrays, strict=False)
+        changed = {name: one[0] for name, one, before in parts if one is not before}
+        problem = self.problem.with_data(**changed) if changed else self.problem
+        is_start = (z == start).all()
         work, because = (0.0, NOTHING_TO_DO) if is_start else (float(problem.n), "prepared")
         stage, point = StageRecord("lemke", because, int(work > 0.0), work), Measured(z, 0.0, True)
         return Result.of(problem, point, [stage], self._settings, seconds, self._method)

@@ -32,8 +32,8 @@ from ..methods.newton import polish_active_set
 from ..methods.small import Rounds
 from ..proofs.guarantees import guarantee_of
 from .plan import plan
-from .result import NEXT, Callback, Result, name_of_run
-from .run import FAILED, NO_STEP, Progress, Run, Stage
+from .result import NEXT, Callback, Result, end_at_once, name_of_run
+from .run import FAILED, NO_STEP, Progress, Run, Stage, with_samples
 
 
 class LCPRun(Run):
@@ -356,8 +356,9 @@ def run_on(
     clock: Clock,
     callback: Callback | None = None,
     first: Stage | Iterator[Step] | None = None,
+    known: Result | None = None,
 ) -> Result:
-    """Return the result of a run with a method, or with auto for None.
+    """Return the result of a run with a method, or with auto for None; of first steps if it is known.
 
     Parameters
     ----------
@@ -367,7 +368,15 @@ def run_on(
         Running.
     first : Stage or iterator of Step, optional
         Stage before the stages of the plan, or the steps of `Algorithm.first_points` of its first stage.
+    known : Result, optional
+        Reported here; a callback that ends it at the start ends the run there.
     """
+    if known is not None:
+        begun = start, row_data(problem).estimate(start)
+        result = with_samples(problem, known, settings, callback, begun, known.residual)
+        if result is not None:
+            return result
+        callback = end_at_once
     proofs = settings.prove_infeasibility
     with threads_for(settings.threads):
         run = LCPRun(problem, method, settings, callback, clock, start)

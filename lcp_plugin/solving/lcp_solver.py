@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterator
+from functools import partial
 from itertools import chain, groupby
 from typing import Any
 
@@ -11,14 +12,13 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from ..core.algorithm import Algorithm, Step
-from ..core.checks import Vector, checked_start
+from ..core.checks import Vector, checked_start, read_only
 from ..core.deadline import Clock
 from ..core.lcp import LCP
-from ..core.settings import DEFAULT, Settings
-from ..judges.lcp import row_data
+from ..core.settings import DEFAULT, Settings, Status
 from ..methods.small import GUESSED, Rounds, fails_surely, measure_small
 from .dispatch import parse_call
-from .result import NOTHING_TO_DO, Callback, Result, StageRecord, end_at_once, with_samples
+from .result import NOTHING_TO_DO, Callback, Result, StageRecord
 
 FIRST_METHOD = Rounds()
 
@@ -44,38 +44,31 @@ def solve_lcp(
     UnknownAlgorithm, InvalidOption, UnsuitableMatrix, UnsuitableProblem
         As :func:`lcp_plugin.solve`.
     """
+    taken, known = list[Step](), None
     method, settings = parse_call(algorithm, options)
     clock = Clock(settings.max_seconds)
     start = checked_start(problem, z0)
-    first = (FIRST_METHOD if method is None else method).first_points(
-        problem, start, settings.tolerance
-    )
-    if first is not None:
-        first = measured_steps(problem, first, start, settings)
-        if not settings.verbose:
-            taken: list[Step] = []
-            while len(taken) < settings.max_iterations and clock.left:
-                if (step := next(first, None)) is None:
-                    break
-                taken.append(step)
-                if (point := step.measured).passes:
-                    stages = records_of(taken, method)
-                    begun: tuple[Vector, float | None] = start, 1.0  # of z°, the reference
-                    if start is not problem.nearest_to_zero:
-                        is_watched = settings.record or callback is not None
-                        begun = start, row_data(problem).estimate(start) if is_watched else None
-                    result = Result.of(problem, point, stages, settings, clock.read(), method)
-                    known = with_samples(result, settings, callback, begun, point.residual)
-                    if known is not None:
-                        return known
-                    callback = end_at_once
-                    break
-                if point.is_limited or not point.residual < math.inf:  # a run ends here
-                    break
-            first = chain(taken, first)
+    first = (method or FIRST_METHOD).first_points(problem, start, settings.tolerance)
+    steps = iter(()) if first is None else measured_steps(problem, first, start, settings)
+    while len(taken) < settings.max_iterations and clock.left:
+        if (step := next(steps, None)) is None:
+            break
+        taken.append(step)
+        if (point := step.measured).passes:
+            make = partial(result_of, problem, taken, settings, clock.read(), method)
+            fixed = {"status": Status.SOLVED, "absolute_tolerance": settings.absolute_tolerance}
+            known = Result.of_known(make, z=read_only(point.z), **fixed, _asked=method)
+            if not problem.matrix.is_dense:  # the caller may overwrite a sparse M
+                known.certificate  # noqa: B018 - measured now
+            if callback is None and not settings.is_watched:
+                return known
+            break
+        if point.is_limited or not point.residual < math.inf:  # a run ends here
+            break
     from .lcp_run import run_on  # with all methods, which a small problem does without
 
-    return run_on(problem, method, settings, start, clock, callback, first)
+    begun = chain(taken, steps) if taken else None
+    return run_on(problem, method, settings, start, clock, callback, begun, known)
 
 
 def measured_steps(
@@ -98,8 +91,10 @@ def measured_steps(
         yield step
 
 
-def records_of(steps: list[Step], method: Algorithm | None) -> tuple[StageRecord, ...]:
-    """Return the records of first steps, one for steps in a row with one label."""
+def result_of(
+    problem: LCP, steps: list[Step], settings: Settings, seconds: float, method: Algorithm | None
+) -> Result:
+    """Return the result of first steps, of which the last one passes; steps in a row with one label have one record."""
     records = []
     for label, group in groupby(steps, lambda step: step.label):
         parts = [*group]
@@ -110,7 +105,7 @@ def records_of(steps: list[Step], method: Algorithm | None) -> tuple[StageRecord
     records[0] = records[0]._replace(
         because=because if steps[-1].iterations != 0 else NOTHING_TO_DO
     )
-    return tuple(records)
+    return Result.of(problem, steps[-1].measured, records, settings, seconds, method)
 
 
 def planned(problem: LCP) -> tuple[str, Any, Iterator[Any]]:

@@ -5,17 +5,18 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import cached_property
-from typing import TYPE_CHECKING, Any, ClassVar, NamedTuple, Self, TypeVar
+from operator import attrgetter
+from typing import TYPE_CHECKING, Any, ClassVar, NamedTuple, Self
 
 import numpy as np
 
 from ..core.algorithm import Algorithm
-from ..core.checks import Array, MadeOnAccess, Vector, fill, read_only, restore_state
+from ..core.checks import Array, MadeOnAccess, Vector, read_only, restore_state
 from ..core.errors import NotConverged, UnsuitableMatrix
 from ..core.lcp import LCP
 from ..core.names import Names, format_count, remark_on_labels
 from ..core.problem_classes import Door
-from ..core.settings import PROVEN, Settings, Status, checked_callback
+from ..core.settings import PROVEN, Settings, Status
 from ..judges.certificate import Certificate
 from ..judges.lcp import Measured, RowData, row_data
 from ..judges.worst_rows import SHOWN, WorstRows, worst_pairs
@@ -72,9 +73,6 @@ class Sample:
 
 
 Callback = Callable[[Sample, Any], Any]
-
-
-R = TypeVar("R", bound="BaseResult")
 
 
 def end_at_once(sample: Sample, z: Array) -> bool:
@@ -283,38 +281,6 @@ class BaseResult(MadeOnAccess, Outcome):
         return self.explain()
 
 
-def with_samples(
-    result: R,
-    settings: Settings,
-    callback: Callback | None,
-    start: tuple[Vector, float | None],
-    residual: float,
-) -> R | None:
-    """Return the result of a solve without a run, recorded and reported; None if the callback ends it at the start.
-
-    Parameters
-    ----------
-    start : array, float or None
-        With its residual.
-    residual : float
-        Of the result.
-    """
-    if checked_callback(callback) is None and not settings.record:
-        return result
-    name = result.stages[-1].name if result.stages else result.algorithm
-    last = Sample(result.iterations, getattr(result, "work", 0.0), result.seconds, residual, name)
-    first = Sample(0, 0.0, result.seconds, start[1], name)
-    samples = (first, last) if last.iteration else (last,)
-    for sample, z in zip(samples, (start[0], result.x)[-len(samples) :], strict=True):
-        try:
-            is_over = callback is not None and callback(sample, read_only(z))
-        except KeyboardInterrupt:  # Ctrl-C, as in a run
-            is_over = True
-        if is_over and sample is not last:
-            return None
-    return fill(result, history=samples if settings.record else ())
-
-
 @dataclass(frozen=True, eq=False, repr=False)
 class Result(BaseResult):
     """Result of a linear complementarity problem, with its residuals and the record of the run.
@@ -438,15 +404,8 @@ class Result(BaseResult):
         """The slack M z + q, shape (n,), read-only; computed on first access."""
         return self.z if self.has_no_solution else self.certificate.w
 
-    @property
-    def x(self) -> Vector:
-        """The best iterate, z."""
-        return self.z
-
-    @property
-    def residual(self) -> float:
-        """The relative residual."""
-        return self.certificate.relative_residual
+    x = property(attrgetter("z"), doc="The best iterate, z.")
+    residual = property(attrgetter("certificate.relative_residual"), doc="The relative residual.")
 
     def _clauses(self) -> list[str]:
         is_decided = self.is_solved or self.has_no_solution

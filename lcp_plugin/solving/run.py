@@ -12,22 +12,23 @@ import sys
 from collections.abc import Callable, Iterable, Iterator
 from contextlib import nullcontext
 from dataclasses import dataclass, field
-from typing import Any, NamedTuple
+from typing import Any, NamedTuple, TypeVar
 
 from ..core import deadline
 from ..core.algorithm import Step
-from ..core.checks import Vector, read_only
+from ..core.checks import Vector, fill, read_only
 from ..core.errors import InvalidOption
 from ..core.lcp import LCP
 from ..core.settings import LIMITS, PROVEN, Settings, Status, checked_callback
 from ..proofs.verdicts import classes_in_words, sign_remark
-from .result import NOTHING_TO_DO, Callback, Result, Sample, StageRecord
+from .result import NOTHING_TO_DO, BaseResult, Callback, Result, Sample, StageRecord
 
 FIRST_CHECK = 10  # iteration of the first residual that the method does not report
 FIRST_FLOOR_CHECK = 25  # iterations without a fall
 # a residual that has not fallen below this share of an earlier residual has not fallen
 PROGRESS = 0.99
 FAILED = (Status.STALLED, Status.DIVERGED)  # another algorithm may do better
+R = TypeVar("R", bound=BaseResult)
 SPENT, NO_STEP = "budget spent", "steps ended"  # endings of a stage
 # the status of a point that does not pass
 CUT_SHORT = (*LIMITS, Status.INTERRUPTED, Status.DIVERGED)
@@ -232,12 +233,7 @@ class Progress:
         self._next_sample = self.next_line = 0
         if settings.verbose:
             with self.clock.pause():
-                is_lcp = isinstance(problem, LCP)
-                classes = f"; M {classes_in_words(problem.matrix)}" if is_lcp else ""
-                say(f"{problem}{classes}")
-                if is_lcp and (remark := sign_remark(problem.matrix)):
-                    say(remark)
-                say(f"{'iteration':>12} {'work':>10} {'relative residual':>19} {'seconds':>9}")
+                say_problem(problem)
 
     def count(self, stage: Stage, step: Step) -> None:
         """Count a step, which may be no iteration, and its work, for the part of its label if it has a label."""
@@ -293,10 +289,7 @@ class Progress:
                 sample = Sample(self.iteration, self.work, seconds, run.residual_of(step), name)
             if is_printed:
                 self.next_line = max(iterations + 1, math.ceil(iterations * 1.5))
-                shown = "–" if sample.residual is None else f"{sample.residual:.2e}"
-                say(
-                    f"{sample.iteration:>12} {sample.work:>10.1f} {shown:>19} {seconds:>9.3f}{step.note}"
-                )
+                say_sample(sample, step.note)
             if is_recorded:  # at geometric intervals
                 self._next_sample = max(self.iteration + 1, math.ceil(self.iteration * 1.05))
                 self.samples.append(sample)
@@ -318,6 +311,61 @@ def say(line: str) -> None:
     """Print a line; characters that the terminal cannot show are replaced."""
     encoding = getattr(sys.stdout, "encoding", None) or "utf-8"
     print(line.encode(encoding, "replace").decode(encoding), flush=True)
+
+
+def say_problem(problem: object) -> None:
+    """Print the first lines of a log: the problem, the classes of M that its entries show, and the columns."""
+    matrix = problem.matrix if isinstance(problem, LCP) else None
+    say(str(problem) if matrix is None else f"{problem}; M {classes_in_words(matrix)}")
+    if matrix is not None and (remark := sign_remark(matrix)):
+        say(remark)
+    say(f"{'iteration':>12} {'work':>10} {'relative residual':>19} {'seconds':>9}")
+
+
+def say_sample(sample: Sample, note: str = "") -> None:
+    """Print the line of a sample in a log."""
+    shown = "–" if sample.residual is None else f"{sample.residual:.2e}"
+    say(f"{sample.iteration:>12} {sample.work:>10.1f} {shown:>19} {sample.seconds:>9.3f}{note}")
+
+
+def with_samples(
+    problem: object,
+    result: R,
+    settings: Settings,
+    callback: Callback | None,
+    start: tuple[Vector, float | None],
+    residual: float,
+) -> R | None:
+    """Return the result of a solve without a run, recorded, printed and reported; None if the callback ends it at once.
+
+    Parameters
+    ----------
+    problem : object
+    start : array, float or None
+        With its residual.
+    residual : float
+        Of the result.
+    """
+    if checked_callback(callback) is None and not settings.is_watched:
+        return result
+    name = result.stages[-1].name if result.stages else result.algorithm
+    last = Sample(result.iterations, getattr(result, "work", 0.0), result.seconds, residual, name)
+    first = Sample(0, 0.0, result.seconds, start[1], name)
+    samples = (first, last) if last.iteration else (last,)
+    for sample, z in zip(samples, (start[0], result.x)[-len(samples) :], strict=True):
+        try:
+            is_over = callback is not None and callback(sample, read_only(z))
+        except KeyboardInterrupt:  # Ctrl-C, as in a run
+            is_over = True
+        if is_over and sample is not last:
+            return None
+    if settings.verbose:
+        say_problem(problem)
+        for stage in result.stages:
+            say(stage.name + (stage.because and f": {stage.because}"))
+        say_sample(last)
+        say(f"{result.status.name}: {result.describe_accuracy()}; {result.advice}")
+    return fill(result, history=samples if settings.record else ())
 
 
 class Run:

@@ -8,7 +8,16 @@ import sys
 
 import numpy as np
 
-from lcp_plugin import LCP, NonlinearProblem, Result, gallery, solve
+from lcp_plugin import (
+    LCP,
+    BoundedLeastSquares,
+    FrictionalContact,
+    NonlinearProblem,
+    Result,
+    gallery,
+    prepare,
+    solve,
+)
 
 LINE = re.compile(r" +(\d+) +[\d.]+ +\d\.\d\de[+-]\d\d +[\d.]+")
 
@@ -42,6 +51,23 @@ def test_a_run_is_printed_from_header_to_end(capsys):
     assert end.startswith(
         f"SOLVED: relative residual {result.residual:.2e} after {result.iterations} iterations"
     )
+
+
+def test_first_steps_are_printed_as_a_run_with_one_line(capsys):
+    """A small problem takes its usual way: the header, the method with its reason, one line, the end."""
+    problem = LCP([[2.0, -1.0], [-1.0, 2.0]], [-1.0, 3.0])
+    contact = FrictionalContact(np.eye(3), [-1.0, 0.2, 0.0], 0.5)
+    fit = BoundedLeastSquares([[1.0, 0.0], [1.0, 1.0], [0.0, 1.0]], [2.0, 1.0, -1.0])
+    for one in (problem, contact, fit):
+        result = solve(one, verbose=True, record=True)
+        _, stages, iterations, end = printed_by(result, capsys.readouterr().out)
+        assert iterations == [result.iterations]
+        assert stages == [f"{stage.name}: {stage.because}" for stage in result.stages]
+        assert end.startswith(f"SOLVED: {result.describe_accuracy()}; ")
+        assert [*result.x] == [*solve(one).x]
+    step = prepare(problem, record=True)
+    first, last = step.solve(q=[-2.0, 3.0]).history
+    assert (first.iteration, last.iteration, last.label) == (0, 1, "lemke")
 
 
 def test_a_nonlinear_run_is_printed_by_its_newton_steps(capsys):

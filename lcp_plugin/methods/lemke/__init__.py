@@ -104,10 +104,8 @@ class Lemke(Algorithm):
     def first_points(self, problem: LCP, z0: Vector, tolerance: float) -> Iterator[Step] | None:
         """Return the points of the compiled path on at most 128 unknowns, unless options are set."""
         is_default = self.max_pivots is None and self.restarts is None
-        if not (is_default and 0 < problem.n <= LOOP_UP_TO and has_numba()):
-            return None
-        is_cold = z0 is problem.nearest_to_zero or np.array_equal(z0, problem.nearest_to_zero)
-        return path_steps(problem, tolerance, None if is_cold else z0)
+        is_short = is_default and 0 < problem.n <= LOOP_UP_TO and has_numba()
+        return path_steps(problem, tolerance, z0) if is_short else None
 
     def theorem(self, problem: LCP, report: Any) -> str | None:
         """Return the reason that no path from r > 0 can end on a ray: M is a P-matrix, or all bounds are finite."""

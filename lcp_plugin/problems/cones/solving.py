@@ -23,15 +23,8 @@ from ...judges.cones import ConeRows
 from ...judges.lcp import Measured
 from ...judges.worst_rows import WorstRows
 from ...methods.search import ExhaustiveSearch, is_searchable
-from ...solving.result import (
-    NOTHING_TO_DO,
-    Callback,
-    Result,
-    StageRecord,
-    end_at_once,
-    with_samples,
-)
-from ...solving.run import FAILED, Budget, Progress, Run, Stage
+from ...solving.result import NOTHING_TO_DO, Callback, Result, StageRecord, end_at_once
+from ...solving.run import FAILED, Budget, Progress, Run, Stage, with_samples
 from ..contact import ContactMotion, motion_of
 from . import methods, newton
 from .certificate import ConeCertificate, ContactInfeasibility, infeasibility_proof
@@ -100,13 +93,15 @@ def solve_cones(
     if z0 is not None:
         start = projected_on_cones(problem, checked_start(problem, z0))
     is_limited = not settings.max_iterations or settings.max_seconds <= 0.0
-    if chosen == "auto" and not (settings.verbose or is_limited):
+    if chosen == "auto" and not is_limited:
         swept = first_sweeps(problem, start, settings.tolerance)
         if swept is not None and swept.is_solved(settings):
             make = partial(swept.record, problem, settings, clock.read())
             known = ConeResult.of_known(make, z=swept.z, status=Status.SOLVED, problem=problem)
             begun = np.zeros(problem.n) if start is None else start, None
-            if (result := with_samples(known, settings, callback, begun, swept.bound)) is not None:
+            if (
+                result := with_samples(problem, known, settings, callback, begun, swept.bound)
+            ) is not None:
                 return result
             callback = end_at_once
     progress = Progress(problem, settings, callback, clock)

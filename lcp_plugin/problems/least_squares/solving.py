@@ -22,8 +22,8 @@ from ...core.kernels.floats import FREE, HIGH, LOW
 from ...core.settings import DEFAULT, Settings, Status
 from ...engines import has_piqp
 from ...methods.small import SMALL_DENSE, active_set_points, solve_stack
-from ...solving.result import BaseResult, Callback, StageRecord, end_at_once, with_samples
-from ...solving.run import CUT_SHORT, FAILED, Named, Progress, Run, Stage, say
+from ...solving.result import BaseResult, Callback, StageRecord, end_at_once
+from ...solving.run import CUT_SHORT, FAILED, Named, Progress, Run, Stage, say, with_samples
 from . import engines
 from .certificate import Optimality, exceeds, measure_stack, onto_bounds, worst_columns
 from .data import BoundedLeastSquares, Enclosures, apply_to
@@ -90,7 +90,7 @@ def solve_least_squares(
     start = None if x0 is None else problem.checked_start(x0)
     is_limited = not settings.max_iterations or settings.max_seconds <= 0.0
     first = None
-    if not (settings.verbose or is_limited):
+    if not is_limited:
         first = first_point(problem, start, settings.tolerance)
         if first is not None and first.passes:
             name, because = NNLS if first.x is not start else (START, "")
@@ -101,7 +101,7 @@ def solve_least_squares(
             known = LeastSquaresResult.of_known(make, x=read_only(first.x), status=Status.SOLVED)
             begun = problem.nearest_to_zero if start is None else start, None
             if (
-                result := with_samples(known, settings, callback, begun, first.residual)
+                result := with_samples(problem, known, settings, callback, begun, first.residual)
             ) is not None:
                 return result
             callback = end_at_once

@@ -23,8 +23,8 @@ from ...methods.interior_point import InteriorPoint
 from ...methods.small import LOOP_UP_TO
 from ...solving.dispatch import parse_call
 from ...solving.lcp_solver import solve_lcp
-from ...solving.result import Sample, StageRecord, end_at_once, with_samples
-from ...solving.run import Named, Progress, Run, Stage, say
+from ...solving.result import Sample, StageRecord, end_at_once
+from ...solving.run import Named, Progress, Run, Stage, say, with_samples
 from ..least_squares.solving import solve_least_squares
 from .conversion import optimality_conditions
 from .engine_points import (
@@ -100,7 +100,7 @@ def solve_program(
         is_watched = settings.record or callback is not None
         if first is not None and (first.is_solved or not is_watched):
             ends = (nearest(program)[0], None), residual
-            if (result := with_samples(first, settings, callback, *ends)) is not None:
+            if (result := with_samples(program, first, settings, callback, *ends)) is not None:
                 return result
             callback = end_at_once
     run = ProgramRun(program, name, settings, solve_options, callback, clock, start, end)

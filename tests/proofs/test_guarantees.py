@@ -64,7 +64,8 @@ def test_rates_of_a_matrix_by_hand(name, options, rate):
 
 def test_what_is_proved_of_direct_methods():
     """Lemke, Newton and banded have guarantees on certain matrices, interior point has none."""
-    murty, rotation = textbook_scenes.murty(n=6).problem, with_matrix([[0.0, 1.0], [-1.0, 0.0]])
+    murty = with_matrix(np.eye(6) + 2.0 * np.triu(np.ones((6, 6)), 1))
+    rotation = with_matrix([[0.0, 1.0], [-1.0, 0.0]])
     m_matrix = with_matrix([[2.0, -1.0], [-1.0, 2.0]])
     boxed = m_matrix.with_q(m_matrix.q, upper=1.0)
     claims = {

@@ -95,7 +95,7 @@ def test_a_path_ends_at_a_fold_or_jumps_beyond():
     def at(theta):
         return NonlinearProblem(lambda x: x - theta * np.exp(x))
 
-    path = trace(NonlinearProblem(abs, lower=[-np.inf]), at, 0.0, 1.0)
+    path = trace(NonlinearProblem(abs, lower=[-np.inf]), at, 0.0, 0.4)
     assert path.status is Status.STALLED
     assert path.reached == pytest.approx(np.exp(-1.0), abs=1e-5)
     thetas = np.linspace(0.0, 0.36, 19)

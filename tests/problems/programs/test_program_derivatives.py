@@ -299,14 +299,3 @@ def test_constraints_that_are_active_twice_are_kinks_of_their_own_sides_only(nam
     for call in (lambda: found.jvp(dh=np.eye(program.h.size)[0]), lambda: found.vjp([1.0])):
         with pytest.raises(UnsuitableProblem, match="x has a kink here"):
             call()
-
-
-def test_repeated_constraints_of_a_controller_leave_x_smooth_in_c():
-    """Every row of G twice: the derivative by c is that of differences."""
-    rng = np.random.default_rng(0)
-    P, c, dc = np.eye(6) + 0.1, 3 * rng.normal(size=6), rng.normal(size=6)
-    G, h = rng.normal(size=(3, 6)), np.abs(rng.normal(size=3))
-    program = QuadraticProgram(P, c, np.vstack([G, G]), np.append(h, h), lower=-1, upper=1)
-    result, moved = solve(program), solve(program.with_vectors(c=c + STEP * dc))
-    found = derivative(result).jvp(dc=dc)
-    np.testing.assert_allclose(found, (moved.x - result.x) / STEP, atol=1e-6)

@@ -14,7 +14,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import suppress
-from functools import partial
+from functools import cached_property, partial
 from itertools import islice
 from typing import Any, NamedTuple
 
@@ -170,7 +170,6 @@ class March(AnswerSequence[Result]):
         self.error: LCPError | None = None
         self.is_interrupted = False
         self._z: list[Vector] = []
-        self._stacked: Vector | None = None
         self._results: list[Result | Callable[[], Result]] = []
 
     @property
@@ -196,13 +195,12 @@ class March(AnswerSequence[Result]):
     def __len__(self) -> int:
         return len(self._z)
 
-    @property
+    @cached_property
     def z(self) -> Vector:
         """The solution of each kept step, shape (k, n)."""
-        if self._stacked is None:
-            self._stacked = read_only(np.reshape(self._z, (len(self), self.z0.size)))
-            self._z = [*self._stacked]  # views
-        return self._stacked
+        z = read_only(np.reshape(self._z, (len(self), self.z0.size)))
+        self._z = [*z]  # views
+        return z
 
     @property
     def status(self) -> list[Status]:
@@ -238,7 +236,6 @@ class March(AnswerSequence[Result]):
             del self.steps[-1], self._z[-1], self._results[-1]
         self.steps.append(self.taken)
         self._z.append(z)
-        self._stacked = None
         self._results.append(result)
         self.taken += 1
 

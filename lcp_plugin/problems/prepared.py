@@ -217,16 +217,12 @@ class PreparedProgram(PreparedProblem[QuadraticProgram]):
         if not (is_certain and errors.gap <= 0.5 * self._settings.tolerance):
             return None
         solution = QPSolution.of_known(partial(self._solution, every, x, y), x=read_only(x))
-        make = partial(self._record, clock.read())
-        return QuadraticProgramResult.of_known(make, solution=solution, status=Status.SOLVED)
+        run = {"iterations": 1, "tolerance": self._settings.tolerance, "seconds": clock.read()}
+        run |= {"algorithm": "auto: daqp", "stages": (StageRecord("daqp", "prepared", 1, 0.0),)}
+        return QuadraticProgramResult.of_known(None, solution=solution, status=Status.SOLVED, **run)
 
     def _solution(self, data: list[Any], x: Vector, y: Vector) -> QPSolution:
         return QPSolution.from_reduced(self.problem.with_vectors(*data), x, y)
-
-    def _record(self, seconds: float) -> QuadraticProgramResult:
-        run = {"iterations": 1, "tolerance": self._settings.tolerance, "seconds": seconds}
-        stages = (StageRecord("daqp", "prepared", 1, 0.0),)
-        return QuadraticProgramResult.of_known(None, algorithm="auto: daqp", stages=stages, **run)
 
 
 PREPARED: dict[str | None, type[PreparedProblem[Any]]] = {

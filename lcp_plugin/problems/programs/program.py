@@ -477,7 +477,7 @@ class FoldedRows:
     @classmethod
     def of(cls, program: QuadraticProgram) -> FoldedRows:
         """Return the reduction of a program; `QuadraticProgram.folded` keeps it."""
-        matrices, right = program.matrices, np.concatenate([program.h, program.b])
+        matrices, right = program.matrices, program.judged.d
         if (matrices.terms.counts > 1).all() and np.isfinite(right).all():
             none = np.full(program.n, NO_ROW)
             return cls(program, program, np.arange(right.size), none, none, np.ones(right.size))

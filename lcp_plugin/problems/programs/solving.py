@@ -18,7 +18,7 @@ from ...core.tuning import LINEAR_PROGRAM_UP_TO
 from ...engines import ENGINES, has_piqp, installed_engine
 from ...engines.engine import Engine, EnginePoint, EngineStatus
 from ...engines.solvers import DAQP, ends_of_rows
-from ...judges.program import NO_POLISH, PROGRAM_TOLERANCE, SHARP, KKTErrors
+from ...judges.program import NO_POLISH, PROGRAM_TOLERANCE, SHARP, KKTErrors, sharp_errors
 from ...methods.interior_point import InteriorPoint
 from ...methods.small import LOOP_UP_TO
 from ...solving.dispatch import parse_call
@@ -97,8 +97,9 @@ def solve_program(
     end = None
     if name == "auto" and not (settings.verbose or is_limited):
         end, first, residual = first_point(program, settings, clock)
-        is_watched = settings.record or callback is not None
-        if first is not None and (first.is_solved or not is_watched):
+        if first is not None and not settings.record and callback is None:
+            return first
+        if first is not None and first.is_solved:
             ends = (nearest(program)[0], None), residual
             if (result := with_samples(program, first, settings, callback, *ends)) is not None:
                 return result
@@ -176,9 +177,9 @@ def first_point(
     if end.reported is EngineStatus.INFEASIBLE:
         return end, infeasible_result(program, end, settings, clock.read()), math.inf
     x, y = clip(without_noise(end.x), lower, upper), without_noise(end.y)  # as a run begins
-    errors, x = KKTErrors.with_point(judged, x, y, tolerance)
-    is_sharp = errors.meet(tolerance) and errors.gap <= NO_POLISH * (x.size + y.size)
-    if not is_sharp or is_in_doubt(program, errors, x):
+    errors = sharp_errors(judged, x, y)
+    is_sharp = errors.gap <= min(tolerance, NO_POLISH * (x.size + y.size))
+    if not (is_sharp and errors.primal <= CERTAIN_ROWS and x @ x <= FAR**2):
         return end, None, math.inf
     # Multipliers of a point that passes overflow only if coefficients divide them
     make = QPSolution.on_access if reduced is program else QPSolution.from_reduced
@@ -198,15 +199,17 @@ def infeasible_result(
     """
     if (shown := shown_proof(program)) is None:
         return None
-    because, stalled = f"it reports {end.reported.value}", not settings.prove_infeasibility
+    (x, proof), because = shown, f"it reports {end.reported.value}"
     stages = (StageRecord(DAQP.name, because, end.iterations, 0.0),)
-    solution, proof = QPSolution.none(program), None if stalled else shown[1]
-    if stalled:
-        solution = QPSolution.on_access(program, shown[0], nearest(program)[1])
-    status = Status.STALLED if stalled else Status.INFEASIBLE
+    known: dict[str, Any] = {"status": Status.STALLED}
+    if settings.prove_infeasibility:
+        known = {"status": proof.status, "proof": proof, "solution": QPSolution.none(program)}
+    else:
+        y = np.zeros(program.folded.reduced.judged.d.size)
+        known["solution"] = QPSolution.on_access(program, x, y)
     fields = {"tolerance": settings.tolerance, "seconds": seconds, "stages": stages}
-    fields |= {"algorithm": "auto: daqp", "iterations": end.iterations, "status": status}
-    return QuadraticProgramResult.of_known(None, **fields, solution=solution, proof=proof)
+    fields |= {"algorithm": "auto: daqp", "iterations": end.iterations}
+    return QuadraticProgramResult.of_known(None, **fields, **known)
 
 
 def is_in_doubt(program: QuadraticProgram, errors: KKTErrors, x: Vector) -> bool:

@@ -151,11 +151,6 @@ def normal(data: RowData, z: Vector) -> Vector:
     return clip(np.where(size > least, z, 0.0), data.lower, data.upper)
 
 
-def measure(data: RowData, z: Vector, tolerance: float) -> Measured:
-    """Measure points at the ends of linear solves."""
-    return data.measure(normal(data, z), tolerance)
-
-
 def suits_loop(count: int, n: int) -> bool:
     """Return whether the compiled loop solves so many problems of n unknowns; it never depends on what is compiled."""
     return count >= LOOP_FROM and n <= LOOP_UP_TO and has_numba()
@@ -201,7 +196,7 @@ def solve_stack(
         items = items[np.isfinite(z[items, 0])] if attempt >= ROUNDS else items
         if attempt >= ROUNDS and items.size:
             data = stacked_data(*_select((M, q, lower, upper), items))
-            measured = measure(data, z[items], tolerance)
+            measured = data.measure(normal(data, z[items]), tolerance)
             z[items], residual[items], is_solved[items] = measured[:3]
             items = items[~measured.passes]  # the path left out what is below its perturbation
     return z, residual, (z != begun).any(1).astype(int), is_solved

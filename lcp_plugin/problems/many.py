@@ -61,10 +61,7 @@ class AnswerSequence(Sequence[T]):
         """True if every status is SOLVED."""
         return all(status is Status.SOLVED for status in self.status)
 
-    @property
-    def is_solved(self) -> bool:
-        """Synonym of `all_solved`."""
-        return self.all_solved
+    is_solved = all_solved
 
     def counts(self) -> str:
         """Return the number of items per status, as text."""

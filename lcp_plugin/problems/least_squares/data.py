@@ -495,4 +495,4 @@ def shortest_solution(A: Vector, b: Vector) -> Vector:
 
 def apply_to(B: AnyMatrix, v: Vector) -> Vector:
     """Return B v, for each row of v if v has two axes."""
-    return B @ v if v.ndim == 1 else v @ B.T
+    return B.dot(v) if v.ndim == 1 else v @ B.T

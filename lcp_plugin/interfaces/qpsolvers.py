@@ -86,7 +86,11 @@ def solve_problem(
 
     clock = Clock()
     try:
-        program = _program(problem)
+        P, q, G, h, A, b, lower, upper = problem.unpack()
+        q = checked_vector(q, "q", None)  # with qpsolvers' names of the vectors in error messages
+        ends = (lower, "lb", -np.inf), (upper, "ub", np.inf)
+        low, high = (far if x is None else checked_bound(x, name, q.size) for x, name, far in ends)
+        program = QuadraticProgram(P, q, G, h, A, b, low, high)
         built = clock.read()
         start = None if initvals is None else vector_option(initvals, "initvals", program.n)
         # A start would cost steps in a program with rows
@@ -110,12 +114,3 @@ def solve_problem(
         solution.z, solution.y = answer.inequality.copy(), answer.equality.copy()
         solution.z_box = answer.upper - answer.lower if is_bounded else np.empty(0)
     return solution
-
-
-def _program(problem: Problem) -> QuadraticProgram:
-    """Return the program, with qpsolvers' names of the vectors in error messages."""
-    P, q, G, h, A, b, lower, upper = problem.unpack()
-    q = checked_vector(q, "q", None)
-    ends = (lower, "lb", -np.inf), (upper, "ub", np.inf)
-    below, above = (far if x is None else checked_bound(x, name, q.size) for x, name, far in ends)
-    return QuadraticProgram(P, q, G, h, A, b, below, above)

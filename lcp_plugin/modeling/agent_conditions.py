@@ -18,6 +18,7 @@ from ..core.checks import Indices, Vector
 from ..core.errors import UnsupportedModel
 from ..expressions import functions
 from ..expressions.rows import Rows, as_matrix, assembled, is_definition
+from ..problems.statement import name_of_row
 from . import _compat as compat
 from ._compat import EQUATIONS, by_columns, by_id, dense, name_of
 from .constraint import Complements, box
@@ -31,13 +32,9 @@ def _huber(node: cp.Expression, arguments: list[Any]) -> tuple[Any, list[Any]]:
     return cp.square(arguments[0] - s) + 2 * node.M * t, [s <= t, -s <= t]
 
 
-def _name_of_optimality(entries: list[Any], k: int) -> str:
-    """Return the name of the row of decision k: optimality of output[0]."""
-    for variable, columns in entries:
-        if k < columns.size:
-            return f"optimality of {compat.entry_of(variable, columns[k])}"
-        k -= columns.size
-    return ""
+def _name_of_optimality(variable: Any, columns: Indices, k: int) -> str:
+    """Return the name of the row of decision k of a variable: optimality of output[0]."""
+    return f"optimality of {compat.entry_of(variable, columns[k])}"
 
 
 #: Atoms with kinks, and functions that return their epigraphs: a value, and inequalities.
@@ -272,7 +269,8 @@ class AgentProgram:
         gradient = self._gradient(weighted)
         gradient = gradient if self.F is None else self.F + gradient
         self.stationarity = Complements(first, Side(gradient, "value"))
-        self.stationarity.name_of_row = partial(_name_of_optimality, self.entries)
+        named: list[Any] = [(e[1].size, partial(_name_of_optimality, *e)) for e in self.entries]
+        self.stationarity.name_of_row = partial(name_of_row, named, range(self.decisions.size))
 
     def _add_bound(self, standard: StandardRows, rows: Rows) -> bool:
         """Store rows that only bound decisions; return whether they do."""

@@ -191,7 +191,7 @@ ADVICE = {
 TANGENTS = (
     "each iteration replaces F by its tangent at x and solves the linear problem that this gives"
 )
-STUCK = "no step reduces the residual{}: z may be a local minimum of the residual; next: try another start x0"
+TRAP = "no step reduces the residual (starts: {}): z may be a local minimum of the residual; next: try another start x0"
 GROWING = "the unknowns grow without limit, and F tends to 0: has it a solution? next: try another start x0, or bounds"
 
 
@@ -259,8 +259,7 @@ class NonlinearRun(Run):
         is_limited = is_open and point.is_limited(self.settings)
         self.best = Measured(point, 0.0, passes, is_limited)
         status = self.status(end)
-        starts = f" from any of {newton.restarted + 1} starts" if newton.restarted else ""
-        stalled = GROWING if self._is_far(point) else STUCK.format(starts)
+        stalled = GROWING if self._is_far(point) else TRAP.format(newton.restarted + 1)
         words = {**ADVICE, Status.STALLED: stalled}
         named: dict[str, Any] = {"algorithm": newton.name, "_asked": newton, "_advice": words}
         named |= {"evaluations": Evaluations(*newton.first.problem.counts), "begun": begun}

@@ -188,7 +188,7 @@ def test_an_equation_without_a_root_is_stalled():
     """An equation without a root ends STALLED with advice, never INFEASIBLE and never SOLVED."""
     result = solve(NonlinearProblem(lambda x: x**2 + 1.0, lower=-INF), x0=[3.0])
     assert result.status is Status.STALLED
-    assert "from any of 11 starts: " in result.explain()
+    assert "(starts: 11): " in result.explain()
     assert "another start" in result.explain()
     with pytest.raises(NotConverged, match="local minimum of the residual"):
         result.require_solved()

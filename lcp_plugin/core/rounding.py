@@ -83,9 +83,8 @@ def add_pairs(a: Sums, b: Sums) -> Sums:
     high, error = split_sum(a[0], b[0])
     low, lost = split_sum(a[1], b[1])
     low, missed = split_sum(low, error)
-    high, low = split_sum(high, low)
     radius = a[2] + b[2] + np.abs(lost) + np.abs(missed)
-    return high, low, radius * (1.0 + 8.0 * UNIT)
+    return *split_sum(high, low), radius * (1.0 + 8.0 * UNIT)
 
 
 def compensated_pair(M: AnyMatrix, x: Vector, q: Vector | None = None) -> Sums:

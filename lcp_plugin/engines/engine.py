@@ -86,8 +86,6 @@ class Engine(ABC):
         The options that differ from the engine's own defaults.
     steps : str
         Name of the engine's option for the largest number of steps.
-    ends_on_active_set : bool
-        True for active set methods: the final point solves the linear system of its active set.
     is_for_linear_alone : bool
         True if the engine accepts linear programs only (no P).
     """
@@ -99,7 +97,6 @@ class Engine(ABC):
     obeys: ClassVar[str]
     defaults: ClassVar[Mapping[str, Any]] = MappingProxyType({})
     steps: ClassVar[str] = "max_iter"
-    ends_on_active_set: ClassVar[bool] = False
     is_for_linear_alone: ClassVar[bool] = False
 
     def __init__(self, **options: Any) -> None:

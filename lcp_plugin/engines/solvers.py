@@ -40,7 +40,6 @@ class DAQP(Engine):
         "max_seconds; verbose prints nothing; Ctrl-C takes effect only when the solver returns"
     )
     steps: ClassVar[str] = "iter_limit"
-    ends_on_active_set: ClassVar[bool] = True
     defaults: ClassVar = {"primal_tol": 1e-9, "iter_limit": 1000}
 
     def solve(self, program: ProgramData, limits: SolverLimits) -> EnginePoint:
@@ -250,7 +249,6 @@ class HiGHS(Engine):
         "max_seconds; verbose prints its own log; Ctrl-C takes effect only when the solver returns"
     )
     steps: ClassVar[str] = "maxiter"
-    ends_on_active_set: ClassVar[bool] = True
     is_for_linear_alone: ClassVar[bool] = True
     defaults: ClassVar = {"primal_feasibility_tolerance": 1e-9, "dual_feasibility_tolerance": 1e-9}
 

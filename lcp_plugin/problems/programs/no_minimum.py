@@ -483,10 +483,10 @@ def shown_proof(program: QuadraticProgram) -> tuple[Vector, QPInfeasibility] | N
     The proof is searched for when it is read.
     """
     reduced = program.folded.reduced
-    is_suited = reduced.matrices.is_small and reduced.matrices.terms.is_dense
-    if not (is_suited and is_installed(DAQP.name)):
-        return None
-    if (shown := multipliers_of_soft_rows(reduced.judged)) is None:
+    is_suited = (
+        reduced.matrices.is_small and reduced.matrices.terms.is_dense and is_installed(DAQP.name)
+    )
+    if not is_suited or (shown := multipliers_of_soft_rows(reduced.judged)) is None:
         return None
     make = partial(searched_proof, program, shown[1])
     return shown[0], QPInfeasibility.of_known(make, program=program)

@@ -201,12 +201,11 @@ def infeasible_result(
         return None
     (x, proof), because = shown, f"it reports {end.reported.value}"
     stages = (StageRecord(DAQP.name, because, end.iterations, 0.0),)
-    known: dict[str, Any] = {"status": Status.STALLED}
     if settings.prove_infeasibility:
         known = {"status": proof.status, "proof": proof, "solution": QPSolution.none(program)}
     else:
-        y = np.zeros(program.folded.reduced.judged.d.size)
-        known["solution"] = QPSolution.on_access(program, x, y)
+        solution = QPSolution.on_access(program, x, np.zeros(program.folded.left.size))
+        known = {"status": Status.STALLED, "solution": solution}
     fields = {"tolerance": settings.tolerance, "seconds": seconds, "stages": stages}
     fields |= {"algorithm": "auto: daqp", "iterations": end.iterations}
     return QuadraticProgramResult.of_known(None, **fields, **known)

@@ -118,7 +118,6 @@ def hard() -> NLContent:
     )
 
 
-@pytest.mark.quick(1)
 @pytest.mark.parametrize(
     ("content", "words", "code", "message"),
     [

@@ -106,7 +106,6 @@ def test_an_error_of_a_function_has_the_number_of_its_problem():
     assert finished.counts() == "70 SOLVED, 1 INTERRUPTED"
 
 
-@pytest.mark.quick(1)
 @pytest.mark.parametrize("name", ["w", "motion"])
 @pytest.mark.parametrize("given", [(PROGRAM, Q[:2, :3]), (FIT, np.ones((2, 7))), ([FIT, PAIR[0]],)])
 def test_an_array_that_the_problems_lack_is_an_error_of_batch_answers(name, given):

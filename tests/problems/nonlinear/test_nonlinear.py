@@ -515,6 +515,13 @@ def test_a_right_jacobian_is_not_warned_of(precision, seed, kind, n):
     assert "disagrees" not in result.explain()
 
 
+@pytest.mark.parametrize("offset", [1e9, 1e13, 1e14, 1e15])
+def test_rounding_of_a_large_function_is_no_wrong_jacobian(offset):
+    """Differences of √2 x + 10¹⁵ are multiples of 1/8, of steps of 10⁻³."""
+    problem = NonlinearProblem(lambda x: np.sqrt(2.0) * x + offset, lambda x: [[np.sqrt(2.0)]])
+    assert "disagrees" not in solve(problem, x0=[1.0 / 3.0], max_iterations=0).explain()
+
+
 def test_an_unknown_that_no_active_row_depends_on_is_excused():
     """Unknown x₂ appears only in a row at its bound, and does not affect the small x₁."""
 

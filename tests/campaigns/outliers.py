@@ -74,11 +74,9 @@ def matrix(rng: Generator, n: int) -> tuple[np.ndarray, str]:
     return A, str(kind)
 
 
-def odd_lcp(
-    rng: Generator, largest: int = 5
-) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray, str]:
+def odd_lcp(rng: Generator) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray, str]:
     """M, q, lower, upper of an LCP with odd numbers, and which."""
-    n = int(rng.integers(1, largest + 1))
+    n = int(rng.integers(1, 6))
     M, kind = matrix(rng, n)
     q, lower, upper = integers(rng, n), np.zeros(n), np.full(n, np.inf)
     words = [kind]
@@ -131,9 +129,9 @@ def odd_lcp(
     return M, q, lower, upper, " ".join(words)
 
 
-def odd_program(rng: Generator, *, linear: bool, is_small: bool = False) -> tuple[list[Any], str]:
+def odd_program(rng: Generator, *, linear: bool) -> tuple[list[Any], str]:
     """P, c, G, h, A, b, lower, upper of a convex program with odd numbers, and which."""
-    is_small |= rng.random() < 0.6
+    is_small = rng.random() < 0.6
     n, m = (int(rng.integers(1, top)) for top in ((4, 4) if is_small else (16, 20)))
     p = int(rng.integers(0, max(1, n // 2) + 1)) * (rng.random() < 0.4)
     real = not is_small and rng.random() < 0.5

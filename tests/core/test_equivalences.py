@@ -67,17 +67,14 @@ def assert_same(left: np.ndarray, right: np.ndarray) -> None:
 # --- The paper's own formulation, and its misprints --------------------------------------------------------
 
 
-def method_3_1(
-    problem: LCP, splitting: np.ndarray, z: np.ndarray, steps: int = STEPS, *, project: bool = True
-) -> np.ndarray:
+def method_3_1(problem: LCP, splitting: np.ndarray, z: np.ndarray) -> np.ndarray:
     """(𝓜 + 2I + D) ζ⁺ = (𝓝 + I + D) ζ + |(A − I) ζ + σ| − σ with 𝓝 = 𝓜 − A, as the paper writes it."""
     A, sigma = problem.csr.toarray(), problem.q
     identity, D = np.eye(problem.n), np.diag(A.diagonal())
     path = [z]
-    for _ in range(steps):
+    for _ in range(STEPS):
         right = (splitting - A + identity + D) @ z + abs((A - identity) @ z + sigma) - sigma
-        z = np.linalg.solve(splitting + 2.0 * identity + D, right)
-        z = np.maximum(z, 0.0) if project else z
+        z = np.maximum(np.linalg.solve(splitting + 2.0 * identity + D, right), 0.0)
         path.append(z)
     return np.array(path)
 

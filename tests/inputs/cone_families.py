@@ -51,9 +51,7 @@ def planted_contacts(
     return FrictionalContact(W, u.ravel() - W @ r.ravel(), mu), r.ravel(), u.ravel()
 
 
-def planted_cones(
-    blocks: int, rng: np.random.Generator, *, rank: float = 1.0
-) -> tuple[ConeProblem, Any]:
+def planted_cones(blocks: int, rng: np.random.Generator) -> tuple[ConeProblem, Any]:
     """A convex problem over free rows, half-lines, boxes and second-order cones, with its answer."""
     cones: list[Any] = []
     z, w = [np.empty(0)], [np.empty(0)]
@@ -94,7 +92,7 @@ def planted_cones(
             z.append(one * rng.uniform(0.1, 2.0))
             w.append(other * rng.uniform(0.1, 2.0))
     x, y = np.concatenate(z), np.concatenate(w)
-    B = rng.standard_normal((x.size, max(1, int(rank * x.size) + 2)))
+    B = rng.standard_normal((x.size, x.size + 2))
     M = B @ B.T / x.size
     return ConeProblem(M, y - M @ x, cones), x
 

@@ -291,21 +291,7 @@ CLAIMED |= dict.fromkeys((settings.UNBOUNDED, settings.UNBOUNDED_INACCURATE), "u
 
 
 def certify_problem(problem: cp.Problem, tolerance: float) -> Certification:
-    """Return the proved properties of the values and the status of a cvxpy problem."""
-    _check_solved(problem)
-    compiled = CompiledProblem.of(problem)
-    claim = CLAIMED.get(problem.status)
-    point = _point(problem, compiled) if claim is None else None
-    certification = certify(compiled.program, point, claim=claim, tolerance=tolerance)
-    if compat.sense_of(problem) > 0.0:
-        return certification
-    lower, upper = certification.lower, certification.upper
-    lower, upper = (None if upper is None else -upper), (None if lower is None else -lower)
-    return replace(certification, lower=lower, upper=upper)
-
-
-def _check_solved(problem: cp.Problem) -> None:
-    """Raise an error unless this is a solved problem that QPSolver could take."""
+    """Return the proved properties of the values and the status of a solved cvxpy problem that QPSolver could take."""
     if not problem.is_dcp():
         raise UnsupportedModel(
             "certify takes problems that follow cvxpy's rules of convexity; problem.is_dcp() must be True"
@@ -320,13 +306,20 @@ def _check_solved(problem: cp.Problem) -> None:
         raise InvalidProblem(
             f"the status is {problem.status}, without a point; call problem.solve() with another solver"
         )
-    if problem.status in CLAIMED:
-        return
-    for variable in problem.variables():
+    claim = CLAIMED.get(problem.status)
+    for variable in problem.variables() if claim is None else ():
         value = compat.leaf_value(variable)
         if value is None or not np.isfinite(compat.by_columns(value)).all():
             what = "no value" if value is None else "a value that is not finite"
             raise InvalidProblem(f"variable {variable.name()} has {what}; solve again, or set it")
+    compiled = CompiledProblem.of(problem)
+    point = _point(problem, compiled) if claim is None else None
+    certification = certify(compiled.program, point, claim=claim, tolerance=tolerance)
+    if compat.sense_of(problem) > 0.0:
+        return certification
+    lower, upper = certification.lower, certification.upper
+    lower, upper = (None if upper is None else -upper), (None if lower is None else -lower)
+    return replace(certification, lower=lower, upper=upper)
 
 
 def _point(problem: cp.Problem, compiled: CompiledProblem) -> Vector:

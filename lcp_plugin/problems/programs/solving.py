@@ -440,13 +440,12 @@ class ProgramRun(Run):
 
     def _search_proof(self) -> None:
         """Keep the proof that the program has no solution, or the proof that shows this except for rounding."""
-        latest, y = self.latest, None
-        if latest is not None and latest.reported is EngineStatus.INFEASIBLE:
-            if (shown := shown_proof(self.program)) is not None:
-                self.proof = shown[1]
-                return
-            if not self._is_short:
-                y = np.concatenate([latest.solution.inequality, latest.solution.equality])
+        reported, y = None if self.latest is None else self.latest.reported, None
+        if reported in NO_MINIMUM and (shown := shown_proof(self.program)) is not None:
+            self.proof = shown[1]
+            return
+        if reported is EngineStatus.INFEASIBLE and not self._is_short:
+            y = np.concatenate([self.latest.solution.inequality, self.latest.solution.equality])
         proof = known_proof(self.program, y)
         if proof is not None and proof.excludes(self.settings.tolerance):
             self.proof = proof

@@ -136,15 +136,15 @@ class PreparedLCP(PreparedProblem[LCP]):
         z, bound = end_of_path(arrays, settings.tolerance, math.nan if start is None else start)
         if not bound < math.inf:
             return None
-        start = nearest[0] if start is None else start
-        make = partial(self._record, arrays, start, z, clock.read())
+        near = nearest[0] if start is None else start
+        make = partial(self._record, arrays, near, z, clock.read())
         fixed = {"status": Status.SOLVED, "absolute_tolerance": settings.absolute_tolerance}
         result = Result.of_known(make, z=read_only(z), **fixed, _asked=self._method)
         if not settings.is_watched:
             return result
         problem = result.certificate.problem
-        begun = start, row_data(problem).estimate(start)
-        return with_samples(problem, result, settings, None, begun, result.residual)
+        begun = near, 1.0 if start is None else row_data(problem).estimate(near)
+        return with_samples(problem, result, settings, None, begun, bound)
 
     def _record(self, arrays: Array, start: Vector, z: Vector, seconds: float) -> Result:
         """Return the result of the short way with all fields."""

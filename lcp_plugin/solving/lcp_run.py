@@ -356,7 +356,7 @@ def run_on(
     clock: Clock,
     callback: Callback | None = None,
     first: Stage | Iterator[Step] | None = None,
-    known: Result | None = None,
+    known: tuple[Result, float] | None = None,
 ) -> Result:
     """Return the result of a run with a method, or with auto for None; of first steps if it is known.
 
@@ -368,19 +368,19 @@ def run_on(
         Running.
     first : Stage or iterator of Step, optional
         Stage before the stages of the plan, or the steps of `Algorithm.first_points` of its first stage.
-    known : Result, optional
-        Reported here; a callback that ends it at the start ends the run there.
+    known : Result and float, optional
+        With its residual; reported here; a callback that ends it at the start ends the run there.
     """
     if known is not None:
-        begun = start, row_data(problem).estimate(start)
-        result = with_samples(problem, known, settings, callback, begun, known.residual)
+        is_cold = start is problem.nearest_to_zero  # whose residual is the reference
+        begun = start, 1.0 if is_cold else row_data(problem).estimate(start)
+        result = with_samples(problem, known[0], settings, callback, begun, known[1])
         if result is not None:
             return result
         callback = end_at_once
-    proofs = settings.prove_infeasibility
     with threads_for(settings.threads):
         run = LCPRun(problem, method, settings, callback, clock, start)
-        stages = plan(problem, method, run.goal, prove_infeasibility=proofs)
+        stages = plan(problem, method, run.goal, prove_infeasibility=settings.prove_infeasibility)
         if isinstance(first, Iterator):
             steps, first = first, next(stages)
             first.steps = steps

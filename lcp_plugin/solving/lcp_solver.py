@@ -57,11 +57,12 @@ def solve_lcp(
         if (point := step.measured).passes:
             make = partial(result_of, problem, taken, settings, clock.read(), method)
             fixed = {"status": Status.SOLVED, "absolute_tolerance": settings.absolute_tolerance}
-            known = Result.of_known(make, z=read_only(point.z), **fixed, _asked=method)
+            result = Result.of_known(make, z=read_only(point.z), **fixed, _asked=method)
             if not problem.matrix.is_dense:  # the caller may overwrite a sparse M
-                known.certificate  # noqa: B018 - measured now
+                result.certificate  # noqa: B018 - measured now
             if callback is None and not settings.is_watched:
-                return known
+                return result
+            known = result, point.residual
             break
         if point.is_limited or not point.residual < math.inf:  # a run ends here
             break
@@ -101,10 +102,8 @@ def result_of(
         iterations = sum(step.iterations != 0 for step in parts)
         work = sum(step.work for step in parts)
         records.append(StageRecord(label or (method or FIRST_METHOD).name, "", iterations, work))
-    because = "" if method else GUESSED
-    records[0] = records[0]._replace(
-        because=because if steps[-1].iterations != 0 else NOTHING_TO_DO
-    )
+    because = NOTHING_TO_DO if steps[-1].iterations == 0 else "" if method else GUESSED
+    records[0] = records[0]._replace(because=because)
     return Result.of(problem, steps[-1].measured, records, settings, seconds, method)
 
 

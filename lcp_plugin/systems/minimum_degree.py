@@ -78,7 +78,7 @@ def minimum_degree(begins, workspace, last, most_entries, most_operations, most_
     begins : array of int, shape (n + 1,)
         First index of each unknown's list of neighbors.
     workspace : array of int
-        The lists, and at least 2 n free entries behind them; overwritten.
+        The lists, and behind them free entries for n and what is touched, at most n²; overwritten.
     last : float
         Number of additional rows in every column.
     """

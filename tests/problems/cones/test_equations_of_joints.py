@@ -215,7 +215,7 @@ FrictionalContact(np.eye(4), np.zeros(4), 0.5, equations=np.eye(4)) → normals
 FrictionalContact(np.eye(4), np.zeros(4), 0.5, equations=-1) → last rows of W
 FrictionalContact(np.eye(4), np.zeros(4), 0.5, equations=1.5) → last rows of W
 FrictionalContact((np.eye(2), [[0, 1]], [[1, 0]]), [0, 0], 0.5, equations=1) → single row as \[\[…\]\]
-FrictionalContact((np.eye(2), [[0, 1]], [[1, 0]]), [0, 0], 0.5, equations=[[1, 0, 0]]) → shape \(p, 2\)
+FrictionalContact((np.eye(2), [[0, 1]], [[1, 0]]), [0, 0], 0.5, equations=[[1, 0, 0]]) → 2 columns
 LCP.from_contacts(np.eye(4), 0.5, np.zeros(4), equations=1) → per contact
 """)
 def test_a_wrong_call_is_told_what_to_write(call, words):

@@ -69,7 +69,7 @@ def solve_nonlinear(
         terms.
     callback : callable, optional
         Same as in :func:`lcp_plugin.solve`, with one sample per Newton step, also of `record`. Residuals above the
-        tolerance are lower bounds, relative to the largest terms of a row, because the run needs no more.
+        tolerance are lower bounds, relative to the largest terms of a row, and residuals below it upper bounds.
     check_jacobian : bool
         Compare the `jacobian` with differences of F, near the start and where x passes. ``explain()`` names the row
         with the largest deviation at the start. If they differ, x is SOLVED only if it passes with differences also.

@@ -32,7 +32,7 @@ from ..core.settings import DEFAULTS, Status, flag
 from ..engines.engine import EngineStatus
 from ..engines.solvers import DAQP, ends_of_rows
 from ..judges.lcp import Measured, row_data
-from ..judges.program import JudgedProgram, sharp_errors
+from ..judges.program import JudgedProgram, KKTErrors, sharp_errors
 from ..methods.lemke import Lemke
 from ..methods.small import LOOP_UP_TO, arrays_of_one, end_of_path, has_numba, is_small
 from ..solving.dispatch import parse_call, solver_with
@@ -212,9 +212,12 @@ class PreparedProgram(PreparedProblem[QuadraticProgram]):
             changed = self.problem.with_vectors(*every)
             return infeasible_result(changed, end, self._settings, clock.read())
         x, y = clip(end.x, lower, upper), end.y
-        errors = sharp_errors(JudgedProgram(self.problem.matrices.terms, c, d, lower, upper), x, y)
+        judged = JudgedProgram(self.problem.matrices.terms, c, d, lower, upper)
+        errors, most = sharp_errors(judged, x, y), 0.5 * self._settings.tolerance
+        if not errors.gap <= most:  # for example, the multipliers of active bounds count
+            errors, x = KKTErrors.with_point(judged, x, y, most)
         is_certain = errors.primal <= CERTAIN_ROWS and x @ x <= FAR**2
-        if not (is_certain and errors.gap <= 0.5 * self._settings.tolerance):
+        if not (is_certain and errors.gap <= most):
             return None
         solution = QPSolution.of_known(partial(self._solution, every, x, y), x=read_only(x))
         run = {"iterations": 1, "tolerance": self._settings.tolerance, "seconds": clock.read()}

@@ -110,6 +110,20 @@ def test_a_small_problem_is_solved_without_a_run(run, call, is_right, monkeypatc
     assert is_right(call().require_solved())
 
 
+@pytest.mark.parametrize("is_prepared", [False, True])
+def test_active_bounds_of_a_program_lead_to_no_run(is_prepared, monkeypatch):
+    """Where the minimum x* is at a bound, the slope of the objective points out of the box; else it is 0."""
+    run = "lcp_plugin.problems.programs.solving.ProgramRun"
+    monkeypatch.setattr(run, lambda *_, **__: pytest.fail("a run"))
+    rng = np.random.default_rng(0)
+    for n in range(1, 6):
+        best, factor = rng.choice([-0.5, 0.1, 0.5], n), rng.normal(size=(n + 1, n))
+        P, slope = factor.T @ factor, -np.sign(best) * (np.abs(best) == 0.5)
+        program = QuadraticProgram(P, slope - P @ best, lower=-0.5, upper=0.5)
+        result = prepare(program).solve(c=program.c) if is_prepared else solve(program)
+        np.testing.assert_allclose(result.require_solved().x, best, atol=1e-6)
+
+
 def test_a_start_that_passes_is_returned():
     """It takes no iteration; recorded or not, a start of a fit that fails leads to the solution by nnls."""
     for algorithm in ("auto", "lemke"):

@@ -18,7 +18,7 @@ from ...core.tuning import LINEAR_PROGRAM_UP_TO
 from ...engines import ENGINES, has_piqp, installed_engine
 from ...engines.engine import Engine, EnginePoint, EngineStatus
 from ...engines.solvers import DAQP, ends_of_rows
-from ...judges.program import NO_POLISH, PROGRAM_TOLERANCE, SHARP, KKTErrors, sharp_errors
+from ...judges.program import NO_POLISH, PROGRAM_TOLERANCE, SHARP, KKTErrors
 from ...methods.interior_point import InteriorPoint
 from ...methods.small import LOOP_UP_TO
 from ...solving.dispatch import parse_call
@@ -177,9 +177,9 @@ def first_point(
     if end.reported is EngineStatus.INFEASIBLE:
         return end, infeasible_result(program, end, settings, clock.read()), math.inf
     x, y = clip(without_noise(end.x), lower, upper), without_noise(end.y)  # as a run begins
-    errors = sharp_errors(judged, x, y)
-    is_sharp = errors.gap <= min(tolerance, NO_POLISH * (x.size + y.size))
-    if not (is_sharp and errors.primal <= CERTAIN_ROWS and x @ x <= FAR**2):
+    errors, x = KKTErrors.with_point(judged, x, y, tolerance)
+    is_sharp = errors.meet(tolerance) and errors.gap <= NO_POLISH * (x.size + y.size)
+    if not is_sharp or is_in_doubt(program, errors, x):
         return end, None, math.inf
     # Multipliers of a point that passes overflow only if coefficients divide them
     make = QPSolution.on_access if reduced is program else QPSolution.from_reduced

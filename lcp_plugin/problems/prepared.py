@@ -32,7 +32,7 @@ from ..core.settings import DEFAULTS, Status, flag
 from ..engines.engine import EngineStatus
 from ..engines.solvers import DAQP, ends_of_rows
 from ..judges.lcp import Measured, row_data
-from ..judges.program import JudgedProgram, KKTErrors, sharp_errors
+from ..judges.program import NO_POLISH, JudgedProgram, KKTErrors, sharp_errors
 from ..methods.lemke import Lemke
 from ..methods.small import LOOP_UP_TO, arrays_of_one, end_of_path, has_numba, is_small
 from ..solving.dispatch import parse_call, solver_with
@@ -214,8 +214,9 @@ class PreparedProgram(PreparedProblem[QuadraticProgram]):
         x, y = clip(end.x, lower, upper), end.y
         judged = JudgedProgram(self.problem.matrices.terms, c, d, lower, upper)
         errors, most = sharp_errors(judged, x, y), 0.5 * self._settings.tolerance
-        if not errors.gap <= most:  # for example, the multipliers of active bounds count
-            errors, x = KKTErrors.with_point(judged, x, y, most)
+        if not errors.gap <= most:  # multipliers of active bounds count; then by the rule of solve
+            errors, x = KKTErrors.with_point(judged, x, y, self._settings.tolerance)
+            most = min(most, NO_POLISH * (x.size + y.size))
         is_certain = errors.primal <= CERTAIN_ROWS and x @ x <= FAR**2
         if not (is_certain and errors.gap <= most):
             return None

@@ -71,10 +71,8 @@ class Clock:
     """
 
     def __init__(self, limit: float = math.inf) -> None:
-        self._limit, self._compilation = (
-            limit,
-            compilation(),
-        )  # of the thread that runs; others may read
+        self._limit = limit
+        self._compilation = compilation()  # of the thread that runs; others may read
         self._began = time.perf_counter() - self._compilation.seconds
         self._paused = self._elapsed = 0.0
 

@@ -221,8 +221,9 @@ class PreparedProgram(PreparedProblem[QuadraticProgram]):
         if not (is_certain and errors.gap <= most):
             return None
         solution = QPSolution.of_known(partial(self._solution, every, x, y), x=read_only(x))
-        run = {"iterations": 1, "tolerance": self._settings.tolerance, "seconds": clock.read()}
-        run |= {"algorithm": "auto: daqp", "stages": (StageRecord("daqp", "prepared", 1, 0.0),)}
+        stages = (StageRecord(DAQP.name, "prepared", end.iterations, 0.0),)
+        run = {"algorithm": "auto: daqp", "iterations": end.iterations, "stages": stages}
+        run |= {"tolerance": self._settings.tolerance, "seconds": clock.read()}
         return QuadraticProgramResult.of_known(None, solution=solution, status=Status.SOLVED, **run)
 
     def _solution(self, data: list[Any], x: Vector, y: Vector) -> QPSolution:

@@ -121,6 +121,7 @@ def test_active_bounds_of_a_program_lead_to_no_run(is_prepared, monkeypatch):
         P, slope = factor.T @ factor, -np.sign(best) * (np.abs(best) == 0.5)
         program = QuadraticProgram(P, slope - P @ best, lower=-0.5, upper=0.5)
         result = prepare(program).solve(c=program.c) if is_prepared else solve(program)
+        assert result.iterations == solve(program).iterations  # the engine's, prepared or not
         np.testing.assert_allclose(result.require_solved().x, best, atol=1e-6)
 
 

@@ -717,7 +717,7 @@ class Linearization(RowData):
     def is_small(self, settings: Settings) -> bool:
         """Return whether the relative residual is at most the tolerance."""
         is_open = self.least_residual <= max(settings.goal, SMALLEST_TOLERANCE)
-        is_open = is_open or settings.absolute_tolerance > 0.0
+        is_open = is_open or max_norm(self.steps) <= settings.absolute_tolerance
         return bool(is_open and self.measure_by(settings).residual <= settings.goal)
 
     def passes(self, settings: Settings) -> bool:

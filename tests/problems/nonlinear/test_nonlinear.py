@@ -672,10 +672,12 @@ def test_a_sample_costs_no_measurement(monkeypatch, F):
     assert result.history[-1].residual <= 1e-8
 
 
-def test_a_point_at_rounding_level_is_accepted_without_its_rows(monkeypatch):
-    """The sufficient test of LCPs accepts the end of a run, whose rows are then measured on access only."""
+@pytest.mark.parametrize("absolute", [0.0, 1e-12])
+def test_a_point_at_rounding_level_is_accepted_without_its_rows(monkeypatch, absolute):
+    """Rows are measured on access only: the sufficient test accepts the end, and far points cannot pass."""
     monkeypatch.setattr(RowData, "measure_at", None)
-    result = solve(NonlinearProblem(lambda x: np.exp(x) - 2.0, lower=np.zeros(4)))
+    problem = NonlinearProblem(lambda x: np.exp(x) - 2.0, lower=np.zeros(4))
+    result = solve(problem, absolute_tolerance=absolute)
     assert result.is_solved
     assert result.residual <= 1e-12
 

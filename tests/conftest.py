@@ -78,6 +78,16 @@ def floating_point_state(request):
 
 
 @pytest.fixture
+def double_precision():
+    """Let JAX have double precision in a test; it stands here because doctests let one more file have this name."""
+    jax = pytest.importorskip("jax")
+    before = jax.config.jax_enable_x64
+    jax.config.update("jax_enable_x64", True)
+    yield
+    jax.config.update("jax_enable_x64", before)
+
+
+@pytest.fixture
 def draws(pytestconfig):
     """So many problems of a campaign are drawn in the full suite, an eighth (a part) of them in the quick one."""
     is_full = bool(pytestconfig.getoption("--full"))

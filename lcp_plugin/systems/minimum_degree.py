@@ -55,8 +55,7 @@ def factor_sizes(
         left = sp.csr_array(pattern[others][:, others]) if last else pattern
         begins, lists = left.indptr.astype(np.int64), left.indices.astype(np.int64)
         # Lists stay where they are; memory that no list reaches is never touched.
-        size = lists.size + others.size + min(most_touched, others.size**2) + 1
-        workspace = np.empty(size, np.int64)
+        workspace = np.empty(lists.size + min(most_touched + n, n * (n - 1) // 2), np.int64)
         workspace[: lists.size] = lists
         limits = most_entries, most_operations, most_touched
         counts = minimum_degree(begins, workspace, float(last), *limits)
@@ -78,7 +77,8 @@ def minimum_degree(begins, workspace, last, most_entries, most_operations, most_
     begins : array of int, shape (n + 1,)
         First index of each unknown's list of neighbors.
     workspace : array of int
-        The lists, and behind them free entries for n and what is touched, at most n²; overwritten.
+        The lists, and behind them most_touched + n free entries, or n (n - 1)/2 if less; overwritten. Each step
+        writes no more than it touches, and only unknowns that are left: below n, also in the step that ends the count.
     last : float
         Number of additional rows in every column.
     """

@@ -265,8 +265,8 @@ class Optimal(Condition):
             constraint.save_dual_value(dual.value)
 
 
-def without_agents(constraints: Sequence[Any]) -> tuple[list[Any], list[Optimal]]:
-    """Return constraints with the conditions of agents in place of the agents, and the agents.
+def without_agents(constraints: Sequence[Any]) -> list[Any]:
+    """Return constraints with the conditions of agents in place of the agents.
 
     Raises
     ------
@@ -284,7 +284,7 @@ def without_agents(constraints: Sequence[Any]) -> tuple[list[Any], list[Optimal]
         rows = agent.conditions.rows.items()
         others += [pair for key, (pair, _) in rows if key not in shared]
         shared |= agent.shared
-    return others, agents
+    return others
 
 
 def _check_agents(agents: Sequence[Optimal], others: Sequence[Any]) -> None:
@@ -354,7 +354,7 @@ class Convexity:
     """
 
     def __init__(self, stated: list[Any]) -> None:
-        self.model, self.stated = Model(stated, takes_integers=True), stated
+        self.model, self.stated = Model(stated, Reader(takes_integers=True)), stated
 
     @cached_property
     def data(self) -> dict[int, Any]:

@@ -28,7 +28,7 @@ from . import _compat as compat
 from .agent_conditions import StandardRows, joined, value_in_domain, violated_domain, with_data
 from .constraint import Complements, complements
 from .model import Model
-from .reading import rewritten
+from .reading import Reader, rewritten
 
 
 def stated_program(problem: cp.Problem, constraints: list[Any]) -> tuple[EquilibriumProgram, Model]:
@@ -51,7 +51,8 @@ def stated_program(problem: cp.Problem, constraints: list[Any]) -> tuple[Equilib
     smooth = partial(rewritten, change=partial(_kink, kinks=kinks))
     goal = smooth(problem.objective.args[0])
     rows = [smooth(compat.expression_of(constraint)) for constraint in others]
-    model = Model([problem.objective, *constraints, *kinks], takes_integers=True)
+    stated = [problem.objective, *constraints, *kinks]
+    model = Model(stated, Reader(takes_integers=True), problem.constraints)
     statement = model.statement
     whole = [np.zeros(0, dtype=np.int64)]
     for variable in model.variables:
@@ -60,16 +61,15 @@ def stated_program(problem: cp.Problem, constraints: list[Any]) -> tuple[Equilib
         statement.lower[binary] = np.maximum(statement.lower[binary], 0.0)
         statement.upper[binary] = np.minimum(statement.upper[binary], 1.0)
         whole += [binary, first + _chosen(variable, variable.integer_idx)]
-    statement.integers = np.concatenate(whole)
     for constraint, row in zip(others, rows, strict=True):
         if not isinstance(constraint, (*compat.EQUATIONS, *compat.INEQUALITIES)):
             raise UnsupportedModel(f"{constraint} must be an equation or an inequality")
         low = 0.0 if isinstance(constraint, (*compat.EQUATIONS, NonNeg)) else -np.inf
         high = np.inf if isinstance(constraint, NonNeg) else 0.0
         statement.constrain(model.reader.rows(row), low, high, row)
-    model.numbers = {constraint.id: k for k, constraint in enumerate(problem.constraints)}
     model.add_pairs([*pairs, *kinks])
-    return statement.best(model.reader.rows(goal), compat.sense_of(problem)), model
+    integers = np.concatenate(whole)
+    return statement.best(model.reader.rows(goal), compat.sense_of(problem), integers), model
 
 
 def _chosen(variable: cp.Variable, chosen: Any) -> Indices:
@@ -92,11 +92,10 @@ def _kink(node: cp.Expression, kinks: list[Complements]) -> Any:
 
 
 def solve_for_the_best(
-    problem: Any, stated: tuple[list[Any], list[Any]], warm_start: bool, options: dict[str, Any]
+    problem: Any, stated: list[Any], warm_start: bool, options: dict[str, Any]
 ) -> Any:
-    """Solve a cvxpy problem, given its constraints without agents and its agents; return its value."""
-    program, model = stated_program(problem, stated[0])
-    model.agents = stated[1]
+    """Solve a cvxpy problem, given its constraints without agents; return its value."""
+    program, model = stated_program(problem, stated)
     if warm_start and "x0" not in options:
         start = model.present()
         if start is not None and np.isfinite(start).all():
@@ -180,7 +179,7 @@ def _fee(agent: Any) -> tuple[Any, list[Any]]:
     At equilibrium prices the margin of a linear program is zero up to rounding, and its gain must not be infinite.
     """
     gradient = agent.conditions.stationarity.second.expression
-    model = Model([gradient], takes_integers=True)
+    model = Model([gradient], Reader(takes_integers=True))
     rows, first = model.reader.rows(gradient), model.statement.first
     point = np.zeros(model.statement.lower.size)
     for variable in model.variables:

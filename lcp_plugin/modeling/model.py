@@ -25,7 +25,7 @@ from ..problems.cones.data import Blocks, ConeProblem
 from ..problems.cones.frictional_contact import FrictionalContact
 from ..problems.statement import SquareModel, Statement, name_of_row
 from . import _compat as compat
-from .reading import Memo, Reader
+from .reading import Reader
 
 
 @dataclass(frozen=True, eq=False)
@@ -230,9 +230,9 @@ class Model:
     """
 
     def __init__(
-        self, stated: Sequence[Any], memo: Memo | None = None, *, takes_integers: bool = False
+        self, stated: Sequence[Any], reader: Reader, constraints: Sequence[Any] = ()
     ) -> None:
-        self.reader = Reader(memo, takes_integers=takes_integers)
+        self.reader = reader
         leaves = compat.by_id(variable for item in stated for variable in item.variables())
         self.variables, (self.spans, size) = list(leaves.values()), spans_of(leaves)
         self.bounds: list[tuple[Indices, Any, Any, Any, Any]] = []
@@ -255,8 +255,8 @@ class Model:
         self.statement.way_to_fix = "fix it with box({name}, {value}, {value})"
         self.is_defined = np.zeros(size, dtype=bool)
         self.reports: list[DualReport] = []
-        self.agents: list[Any] = []
-        self.numbers: dict[int, int] = {}
+        self.agents = [item for item in constraints if hasattr(item, "save_duals")]
+        self.numbers = {item.id: k for k, item in enumerate(constraints)}
         self.cones: list[ConePair] = []
         self.friction: list[tuple[Any, int]] = []
         self._equations: list[Any] = []
@@ -587,7 +587,7 @@ def warn_of_equality_between_bounds(pair: TwoSides, side: Side) -> None:
 
 def pair_residual(pair: TwoSides) -> Vector | None:
     """Return the natural residual of each row of a pair at the present values, or None."""
-    model = Model([pair], takes_integers=True)
+    model = Model([pair], Reader(takes_integers=True))
     side, other = model.sides(pair)
     with np.errstate(all="ignore"):  # outside of a domain
         values = [item.expression.value for item in (side, other)]

@@ -22,7 +22,7 @@ from .best_equilibrium import solve_for_the_best
 from .constraint import Complements, Condition, box, complements
 from .model import Model
 from .qp_solver import NamesOnDemand, QPSolver, certify_problem
-from .reading import Memo
+from .reading import Memo, Reader
 
 FLAGS = "gp qcp nlp requires_grad"  # of cvxpy's solve
 OF_COMPILATION = "enforce_dpp ignore_dpp canon_backend bibtex"  # by cvxpy, which only programs need
@@ -69,15 +69,13 @@ def model_of_constraints(constraints: list[Any], memo: Memo | None = None) -> Mo
     UnsupportedModel
         The message names the unsuitable constraint or variable, and the remedy.
     """
-    numbers = {constraint.id: k for k, constraint in enumerate(constraints)}
-    constraints, agents = without_agents(constraints)
+    stated, constraints = constraints, without_agents(constraints)
     equations = [constraint for constraint in constraints if isinstance(constraint, EQUATIONS)]
     pairs = [constraint for constraint in constraints if isinstance(constraint, Complements)]
     for constraint in constraints:
         if not isinstance(constraint, (*EQUATIONS, Complements)):
             raise NotSquare(f"{constraint} has no pair; write complements({constraint}, F >= 0)")
-    model = Model(constraints, memo)
-    model.agents, model.numbers = agents, numbers
+    model = Model(constraints, Reader(memo), stated)
     model.add_equations(equations)
     model.add_pairs(pairs)
     return model

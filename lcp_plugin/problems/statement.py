@@ -389,8 +389,6 @@ class Statement:
         Bounds of the unknowns, in addition to the conditions of the pairs.
     name : callable
         From the number of an unknown to its name.
-    integers : ndarray of int
-        Unknowns that are integers.
     """
 
     other_way = ""  # of the language of the model, to give an unknown a condition
@@ -403,10 +401,9 @@ class Statement:
         lower: Vector,
         upper: Vector,
         name: Callable[[int], str],
-        integers: object = (),
     ) -> None:
         self.compiler, self.first, self.lower, self.upper = compiler, dict(first), lower, upper
-        self._named, self.name, self.integers = lower.size, name, integers
+        self._named, self.name = lower.size, name
         self.is_paired = np.zeros(lower.size, dtype=bool)
         self.rows: list[StatedRows] = []
         self.pairs: list[StatedRows] = []
@@ -643,8 +640,8 @@ class Statement:
 
     # --- the best of all solutions ---
 
-    def best(self, goal: Rows, sign: float = 1.0) -> EquilibriumProgram:
-        """Return the program: minimize sign · goal."""
+    def best(self, goal: Rows, sign: float, integers: Indices) -> EquilibriumProgram:
+        """Return the program: minimize sign · goal, with unknowns that are integers."""
         seconds = [np.zeros(0), *map(self._value_of, self.pairs)]
         n, goal = self.lower.size, goal.scaled(sign)
         quadratic, smooth = self.quadratic(goal), None
@@ -664,7 +661,7 @@ class Statement:
         program = program.replaced(sense=sign)
         first, low, high = _stacked(self.pairs, "z", "low", "high")
         pairs = first.astype(np.int64), np.concatenate(seconds).astype(np.int64), low, high
-        return EquilibriumProgram(program, *pairs, self.integers, smooth)
+        return EquilibriumProgram(program, *pairs, integers, smooth)
 
     def _value_of(self, pair: StatedRows) -> Indices:
         """Return the unknowns that are w of a pair."""

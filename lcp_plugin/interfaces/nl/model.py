@@ -512,7 +512,7 @@ class FileStatement:
         unknowns = expressions.unknowns
         others = np.flatnonzero((content.partners < 0) & ~self.has_no_bounds)
         stated = self._statement()
-        stated.integers = np.flatnonzero(content.is_integer[unknowns[unknowns < self.n]])
+        integers = np.flatnonzero(content.is_integer[unknowns[unknowns < self.n]])
         for part in self._parts(others):
             ends = content.row_lower[part], content.row_upper[part]
             stated.constrain(expressions.rows(part), *ends, name=content.rows_of(part))
@@ -529,7 +529,7 @@ class FileStatement:
         has_objective = bool(content.is_maximized.size)
         sign = -1.0 if has_objective and content.is_maximized[0] else 1.0
         goal = expressions.rows(np.array([m])) if has_objective else Rows({}, np.zeros(1), (1,))
-        problem = stated.best(goal, sign)
+        problem = stated.best(goal, sign, integers)
         if pairs:
             rows = np.concatenate(pairs)
             return EquilibriumModel(content, problem, unknowns, self.known, rows, problem.second)

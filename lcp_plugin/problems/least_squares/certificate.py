@@ -31,7 +31,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, Self
 
 import numpy as np
 import scipy.sparse as sp
@@ -60,7 +60,7 @@ class Optimality:
         Measure that must be at most the tolerance for SOLVED: the least gap, apart from rounding, relative to its
         cost, at most 1. 1 if a point of lower cost is known.
     passes : bool
-        Whether the point is SOLVED, if a run has tested it.
+        Whether the point is SOLVED: its residual is at most the tolerance, and the goal of a run.
     """
 
     enclosures: Enclosures
@@ -70,7 +70,7 @@ class Optimality:
     passes: bool = False
 
     @classmethod
-    def of(cls, enclosures: Enclosures, x: Vector, *, tolerance: float = np.inf) -> Optimality:
+    def of(cls, enclosures: Enclosures, x: Vector, tolerance: float, goal: float = np.inf) -> Self:
         """Return the optimality of x on the unscaled data; dual points are tried until one meets the tolerance."""
         misfit = enclosures.residual(x)
         optimality, residual = cls(enclosures, x, misfit, 1.0), enclosures.explained(x, misfit)
@@ -81,7 +81,7 @@ class Optimality:
                 break
         if optimality.is_worse_than_known(tolerance):
             optimality.residual = 1.0
-        optimality.passes = optimality.residual <= tolerance
+        optimality.passes = optimality.residual <= min(tolerance, goal)
         return optimality
 
     def is_worse_than_known(self, tolerance: float) -> bool:

@@ -190,9 +190,7 @@ class LeastSquaresRun(Run):
     def certify(self, x: Vector, tolerance: float = 0.0) -> Optimality:
         """Return the certified point of an x within the bounds; dual points are tried until one meets the tolerance."""
         goal = self.settings.tolerance
-        optimality = Optimality.of(self.enclosures, x, tolerance=max(goal, tolerance))
-        optimality.passes = optimality.residual <= goal
-        return optimality
+        return Optimality.of(self.enclosures, x, tolerance=max(goal, tolerance), goal=goal)
 
     def keep(self, optimality: Optimality) -> None:
         """Keep a point that passes, or whose gap, then cost, is less than the best point has."""

@@ -79,7 +79,7 @@ def test_a_prepared_program_has_the_status_of_solve(draws):
 def test_a_prepared_contact_fit_and_nonlinear_problem_have_the_status_of_solve(draws):
     """Random data: contacts with b and W anew, least squares with b anew, and a nonlinear problem from x0."""
     rng = np.random.default_rng(0)
-    for _ in draws(1000, 100):
+    for _ in draws(300, 30):
         J, b, A = rng.normal(size=(6, 4)), rng.normal(size=6), rng.random((6, 3))
         W = J @ J.T + np.eye(6) * (rng.random() < 0.8)
         contact = FrictionalContact(W, b, [0.5, 0.3])
@@ -97,7 +97,7 @@ def test_a_prepared_contact_fit_and_nonlinear_problem_have_the_status_of_solve(d
 def test_a_watched_small_program_has_the_bits_of_a_program_without_options(draws):
     """Without options, daqp's point is returned without a run; with costs in large units, and rows of one unknown."""
     rng = np.random.default_rng(2)
-    for k in draws(1000, 60):
+    for k in draws(500, 30):
         P, c, G, h, A, b, low, high = random_program(rng)
         unit = 10.0 ** rng.integers(-11, 12, 2) if k % 4 == 0 else np.ones(2)
         one = np.where(np.arange(c.size) == k % c.size, 1.0, 0.0) if k % 2 else G[0]

@@ -125,7 +125,7 @@ def rank_points(case: Case) -> Points:
     from lcp_plugin.ranks.problem import RowsOnRanks
     from lcp_plugin.ranks.solving import RowDataOnRanks
 
-    data = RowDataOnRanks(RowsOnRanks.from_problem(LCP(case.M, case.q, lower=case.lower)))
+    data = RowDataOnRanks(RowsOnRanks.from_rows(None, sp.csr_array(case.M), case.q, case.lower))
     found = data.measure(case.wrong, 1e-8)
     yield found.z, bool(found.passes)
 

@@ -130,7 +130,7 @@ class PreparedLCP(PreparedProblem[LCP]):
             low, high = (row[np.newaxis] for row in checked_bounds(*bounds, n))
             nearest = read_only(clip(0.0, low, high))
         if start is not None:
-            is_right = is_plain(start, n) and start.dot(start) < math.inf
+            is_right = is_plain(start, n) and np.isfinite(start).all()
             start = start.copy() if is_right else checked_start(self.problem, start)
         arrays = A, b, low, high, nearest
         z, bound = end_of_path(arrays, settings.tolerance, math.nan if start is None else start)
@@ -143,7 +143,8 @@ class PreparedLCP(PreparedProblem[LCP]):
         if not settings.is_watched:
             return result
         problem = result.certificate.problem
-        begun = near, 1.0 if start is None else row_data(problem).estimate(near)
+        with np.errstate(all="ignore"):
+            begun = near, 1.0 if start is None else row_data(problem).estimate(near)
         return with_samples(problem, result, settings, None, begun, bound)
 
     def _record(self, arrays: Array, start: Vector, z: Vector, seconds: float) -> Result:
@@ -190,6 +191,7 @@ class PreparedProgram(PreparedProblem[QuadraticProgram]):
             vectors = {name: getattr(problem, name) for name in problem.vector_names}
             self._arrays = base.of_daqp, vectors
 
+    @np.errstate(all="ignore")  # of a point that is not finite
     def _solve_quickly(self, start: Any, **data: Any) -> Any:
         """Return daqp's point if plain sums accept it, and nothing hints at a program without a minimum."""
         if self._arrays is None or not data.keys().isdisjoint(self.problem.matrix_names):

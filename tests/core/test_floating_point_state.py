@@ -100,6 +100,12 @@ def calls(size: float) -> Calls:
         "error bound": lambda: error_bound(LCP(P, c), ONES),
         "analyze": lambda: analyze(LCP(P, c)),
         "prepare": lambda: prepare(LCP(P, c)),
+        "prepared LCP": lambda: prepare(LCP(P, c), record=True).solve(q=c, z0=b[:3]),
+        "prepared, without terms": lambda: prepare(LCP(0.0 * P, 0.0 * c), record=True).solve(
+            z0=ONES
+        ),
+        "prepared program": lambda: prepare(QuadraticProgram(P, c, A[:2], b[:2])).solve(c=-c),
+        "prepared, unbounded": lambda: prepare(QuadraticProgram(np.full((3, 3), size), c)).solve(),
         "derivative": lambda: derivative(solve(LCP(P, c))),
         "all solutions": lambda: all_solutions(LCP(P, c)),
     }
@@ -127,7 +133,13 @@ def test_a_callback_has_the_state_of_the_caller(problem):
 
 @pytest.mark.quick(4)
 @pytest.mark.parametrize("size", SIZES)
-@pytest.mark.parametrize("name", calls(1.0))
+@pytest.mark.parametrize(
+    "name",
+    [
+        pytest.param(name, marks=[pytest.mark.quick] * name.startswith("prepared"))
+        for name in calls(1.0)
+    ],
+)
 def test_no_exception_of_numpy_gets_out(name, size):
     """With np.errstate(all="raise") every verb answers, or refuses in words of its own; warnings are errors here."""
     call = calls(size)[name]

@@ -206,7 +206,8 @@ class PreparedProgram(PreparedProblem[QuadraticProgram]):
             copies = {name: getattr(changed, name) for name in data}
         c, h, b, lower, upper = every = [*(vectors | copies).values()]
         d, m = np.concatenate((h, b)), h.size
-        if not d @ d < INFINITE_LIMIT**2:  # NaN in other data does not pass the test
+        # NaN in other data does not pass the test; bounds that cross are refused, or one number up to rounding
+        if not (d @ d < INFINITE_LIMIT**2 and (lower <= upper).all()):
             return None
         ends = ends_of_rows(d, m, lower, upper)
         end = DAQP.end_of(m, P, C, kinds, c.copy(), *ends, DAQP.defaults)

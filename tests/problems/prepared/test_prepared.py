@@ -217,12 +217,13 @@ prepare(LOOP).solve(lower=2.0, upper=1.0) → InvalidProblem: lower
 prepare(PROGRAM).solve(c=np.array([np.nan, 0.0])) → InvalidProblem: c
 prepare(PROGRAM).solve(h=np.zeros(2)) → InvalidProblem: h
 prepare(PROGRAM).solve(lower=np.ones(2), upper=np.zeros(2)) → InvalidProblem: lower
+prepare(PROGRAM).solve(lower=np.full(2, 1e-12), upper=np.zeros(2)) → InvalidProblem: lower
 prepare(PROGRAM).solve(lower=np.full(2, np.nan)) → InvalidProblem: lower
 prepare(ConeProblem(np.eye(2), [1.0, 1.0], [("second_order", 2)])) → InvalidOption: prepare needs
 prepare(LOOP, tolerrance=1e-8) → InvalidOption: tolerance
 """)
 def test_wrong_data_are_refused_as_by_the_constructor(call, words):
-    """A NaN, another shape, crossed bounds, and classes without a loop."""
+    """A NaN, another shape, crossed bounds (by little also), and classes without a loop."""
     program = QuadraticProgram(np.eye(2), [1.0, 1.0], [[1.0, 1.0]], [1.0])
     assert_refused(call, words, {"LOOP": LOOP, "PROGRAM": program})
 

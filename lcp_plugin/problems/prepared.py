@@ -206,7 +206,7 @@ class PreparedProgram(PreparedProblem[QuadraticProgram]):
             copies = {name: getattr(changed, name) for name in data}
         c, h, b, lower, upper = every = [*(vectors | copies).values()]
         d, m = np.concatenate((h, b)), h.size
-        # NaN in other data does not pass the test; bounds that cross are refused, or one number up to rounding
+        # NaN in other data does not pass the test; the constructor checks bounds that cross
         if not (d @ d < INFINITE_LIMIT**2 and (lower <= upper).all()):
             return None
         ends = ends_of_rows(d, m, lower, upper)

@@ -156,9 +156,10 @@ def rectangular_matrix(
     InvalidProblem
         For another shape, for numbers that are not real or not finite, for corrupt sparse arrays.
     """
-    sizes = [f"{k} {what}" for k, what in ((rows, "rows"), (columns, "columns")) if k is not None]
-    of = "".join(f" with {size}" for size in sizes)
-    of = f" of shape ({rows}, {columns})" if len(sizes) == 2 else of
+    of = f" of shape ({rows}, {columns})"
+    if rows is None or columns is None:
+        sizes = (rows, "rows"), (columns, "columns")
+        of = "".join(f" with {k} {what}" for k, what in sizes if k is not None)
     need = f"{name} must be a real matrix{of}"
     is_sparse = not isinstance(values, np.ndarray) and sp.issparse(values)
     if is_sparse:

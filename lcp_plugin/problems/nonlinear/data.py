@@ -314,7 +314,7 @@ class NonlinearProblem(Problem):
     @property
     def nearest_to_zero(self) -> Vector:
         """z°, the point of the bounds nearest to 0, shape (n,)."""
-        return np.clip(0.0, self.lower, self.upper)
+        return clip(0.0, self.lower, self.upper)
 
     def counted(self, n: int) -> NonlinearProblem:
         """Return a copy with n unknowns that counts evaluations."""
@@ -515,7 +515,7 @@ def components_of_pattern(problem: NonlinearProblem, M: AnyMatrix) -> Any:
 
 def _newton_step(M: AnyMatrix, w: Vector, at: IntVector) -> tuple[Factor | None, Vector]:
     """Return the factor of the block of M in some rows, and the Newton step there; None and 0 if it is singular."""
-    block = M[at][:, at] if sp.issparse(M) else M[np.ix_(at, at)]
+    block = M[at[:, np.newaxis], at] if isinstance(M, np.ndarray) else M[at][:, at]
     factor = factorize(block)
     return factor, np.zeros(at.size) if factor is None else -factor.solve(w[at])
 
@@ -546,6 +546,7 @@ class Linearization(RowData):
         self.lower, self.upper = problem.lower, problem.upper
         self.value = problem.evaluate(self.x)
         self._measured: Measured | None = None
+        self._is_small: bool | None = None
         self.run_sizes: tuple[float, float, float] | None = None  # in the units of a run
         self.lcp_steps: dict[float, Vector | None] = {}  # of a small problem, by shift
 
@@ -716,9 +717,12 @@ class Linearization(RowData):
 
     def is_small(self, settings: Settings) -> bool:
         """Return whether the relative residual is at most the tolerance."""
-        is_open = self.least_residual <= max(settings.goal, SMALLEST_TOLERANCE)
-        is_open = is_open or max_norm(self.steps) <= settings.absolute_tolerance
-        return bool(is_open and self.measure_by(settings).residual <= settings.goal)
+        if self._is_small is None:
+            goal, absolute = settings.goal, settings.absolute_tolerance
+            is_open = self.least_residual <= max(goal, SMALLEST_TOLERANCE)
+            is_open = is_open or (absolute > 0.0 and max_norm(self.steps) <= absolute)
+            self._is_small = is_open and bool(self.measure_by(settings).residual <= goal)
+        return self._is_small
 
     def passes(self, settings: Settings) -> bool:
         """Return whether x is SOLVED."""
@@ -753,12 +757,13 @@ def _moving_unknowns(rows: Linearization) -> BoolVector:
     problem, x, n = rows.problem, rows.x, rows.x.size
     step, sizes = rows.value / rows.scale, np.abs(x)
     free = (step < x - rows.lower) & (step > x - rows.upper)  # others are at a bound, or nearly
-    largest, at = rows.largest(sizes), np.flatnonzero(free)
+    largest, at = rows.largest(sizes), free.nonzero()[0]
     least = HALF_OF_DIGITS * np.maximum(sizes, HALF_OF_DIGITS * largest)
     w, is_small = np.where(free, rows.value, 0.0), n <= CHEAP_UP_TO
     single = np.zeros(n) if is_small and not w.any() else _single_steps(rows, free)
     moves = free & (single * np.sign(x) > 2.0**-6 * np.maximum(sizes, 2.0**-10 * largest))
-    if (flat := _flat_unknowns(rows, free)).any():
+    flat = _flat_unknowns(rows, free)
+    if is_any_flat := bool(flat.any()):
         moves |= _depends_on(rows, flat, free)
     if not w.any() or not (is_small or (np.abs(single) > least).any()):
         return moves
@@ -770,7 +775,7 @@ def _moving_unknowns(rows: Linearization) -> BoolVector:
     signs, rounding = np.random.default_rng(0).choice([-1.0, 1.0], n), EPSILON * rows.terms
     lost = np.abs(factor.solve((signs * rounding)[at]))
     is_open, reach = ~(np.abs(step) <= np.maximum(least[at], lost)), np.abs(step)
-    for is_second in () if flat.any() else (False, True):  # flat unknowns took both values
+    for is_second in () if is_any_flat else (False, True):  # flat unknowns took both values
         if not is_open.any():
             break
         there = x.copy()
@@ -789,9 +794,9 @@ def _moving_unknowns(rows: Linearization) -> BoolVector:
 def _flat_unknowns(rows: Linearization, free: BoolVector) -> BoolVector:
     """Return the free unknowns off z° on which the linearization depends by rounding errors at most."""
     rounding = 8.0 * EPSILON * rows.terms
-    level = np.divide(1.0, rounding, out=np.full(free.size, np.inf), where=rounding > 0.0)
-    level = np.where(free, np.minimum(level, LARGEST), 0.0)
-    columns = sp.csr_array(rows.absolute.T) if sp.issparse(rows.M) else rows.absolute.T
+    level = np.where(free, np.minimum(1.0 / rounding, LARGEST), 0.0)  # terms of 0 too
+    columns = rows.absolute.T
+    columns = columns if isinstance(columns, np.ndarray) else sp.csr_array(columns)
     share = largest_products(columns, level) * np.abs(rows.x)
     return free & (share <= 1.0) & (rows.x != rows.origin)
 

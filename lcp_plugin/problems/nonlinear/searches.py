@@ -85,10 +85,7 @@ class JosephyNewton(Algorithm):
     def iterates(self, problem: Any, z0: Any) -> Iterator[Step]:
         """Yield the start, then the point of each step, until no step or restart helps."""
         yield self.step()
-        random = np.random.default_rng(0)
-        restarts = range(self.restarts if self.first.x.size <= CHEAP_UP_TO else 0)
-        others = filter(None, (self.other_start(k, random) for k in restarts))
-        for k, start in enumerate(chain([self.first], others)):
+        for k, start in enumerate(chain([self.first], filter(None, self.other_starts()))):
             self.restarted = k
             for search in self.searches:
                 if k > 0:
@@ -144,6 +141,12 @@ class JosephyNewton(Algorithm):
         there = point if np.array_equal(x, point.x) else self._at(x)
         return there if there.is_defined and there.relative <= point.relative else point
 
+    def other_starts(self) -> Iterator[Linearization | None]:
+        """Yield the starts other than x₀, None for a start at which F is not defined."""
+        random = np.random.default_rng(0)
+        for k in range(self.restarts if self.first.x.size <= CHEAP_UP_TO else 0):
+            yield self.other_start(k, random)
+
     def other_start(self, k: int, random: np.random.Generator) -> Linearization | None:
         """Return start number k other than x₀; None if F is not defined there.
 
@@ -167,7 +170,7 @@ class JosephyNewton(Algorithm):
     def _next_point(self) -> Linearization | None:
         """Return the next point; None if no step helps, the time is over, or rounding explains the residual."""
         current = self.current
-        if not current.steps.any():
+        if not np.count_nonzero(current.steps):
             return None
         if self.is_flat():  # a root without slope
             sizes = np.abs(current.x)
@@ -179,7 +182,7 @@ class JosephyNewton(Algorithm):
         for target in targets(self.current, self.linear, self.tolerance):
             self.step_name, self.length = target.name, 1.0
             better = self.full_step(target) or self.search(target)
-            is_last = deadline.is_over() or better is not None
+            is_last = better is not None or deadline.is_over()
             if is_last or (target.name == "Newton" and self.is_at_floor()):
                 return better
         return None

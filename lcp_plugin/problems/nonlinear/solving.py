@@ -16,6 +16,7 @@ from numpy.typing import ArrayLike
 
 from ...core.algorithm import Algorithm, Step
 from ...core.checks import Vector, read_only, vector_option
+from ...core.entries import clip, or_one
 from ...core.errors import InvalidOption, InvalidProblem
 from ...core.kernels.threads import threads_for
 from ...core.names import Names
@@ -134,7 +135,7 @@ def solve_nonlinear(
         start = vector_option(x0, "x0", problem.n, may_be_number=True)
     problem = problem.counted(start.size)
     progress = Progress(problem, settings, callback)
-    start = np.clip(start, problem.lower, problem.upper)
+    start = clip(start, problem.lower, problem.upper)
     with threads_for(settings.threads):
         first, begun = begin_at(Linearization(problem, start))
         searches = tuple(SEARCHES) if search is None else (search,)
@@ -220,7 +221,8 @@ class NonlinearRun(Run):
 
     def keep(self, measured: Measured) -> None:
         """Keep a point that passes, or whose violation in the units of the start is the least."""
-        super().keep(measured._replace(residual=self.newton.sizes_of(measured.z)[1]))
+        violation = self.newton.sizes_of(measured.z)[1]
+        super().keep(Measured(measured.z, violation, measured.passes))
 
     def _is_far(self, point: Linearization) -> bool:
         """Return whether an unknown is as large as at a point from which it grew."""
@@ -236,7 +238,7 @@ class NonlinearRun(Run):
     def _snap(self, point: Linearization) -> Linearization:
         """Return the linearization after entries near bounds are moved there, unless only the point itself passes."""
         x = point.snap_to_bounds(point.x, point.value)
-        if np.array_equal(x, point.x) or not (moved := point.at(x)).is_defined:
+        if np.logical_and.reduce(x == point.x) or not (moved := point.at(x)).is_defined:
             return point
         meets = [place.passes(self.settings) for place in (point, moved)]
         is_no_worse = moved.relative <= point.relative if meets[0] == meets[1] else meets[1]
@@ -259,8 +261,10 @@ class NonlinearRun(Run):
         is_limited = is_open and point.is_limited(self.settings)
         self.best = Measured(point, 0.0, passes, is_limited)
         status = self.status(end)
-        stalled = GROWING if self._is_far(point) else TRAP.format(newton.restarted + 1)
-        words = {**ADVICE, Status.STALLED: stalled}
+        words = ADVICE
+        if status is Status.STALLED:
+            stalled = GROWING if self._is_far(point) else TRAP.format(newton.restarted + 1)
+            words = {status: stalled}
         named: dict[str, Any] = {"algorithm": newton.name, "_asked": newton, "_advice": words}
         named |= {"evaluations": Evaluations(*newton.first.problem.counts), "begun": begun}
         if status is Status.STALLED and (part := point.problem.affine_part) is not None:
@@ -324,10 +328,11 @@ def jacobian_warning(point: Linearization) -> str:
     shares, signs = _drawn(x.size)
     is_single = (value == value.astype(np.float32)).all()  # the digits of F
     rounding = np.abs(value) * (2.0**-23 if is_single else 2.0**-52)
-    wrong, found = np.full(x.size, np.inf), []
+    wrong: Any = np.inf
+    found, sizes = list[Any](), np.abs(x)
     # The unit of x_j is 1, then |x_j|
-    for step, unit in zip(CHECKED, (np.maximum(np.abs(x), 1.0), np.abs(x)), strict=True):
-        size = np.where(unit > 0.0, unit, 1.0) * shares
+    for step, unit in zip(CHECKED, (np.maximum(sizes, 1.0), or_one(sizes)), strict=True):
+        size = unit * shares
         direction = np.where(x - problem.lower < CHECKED[1] * size, size, size * signs)
         direction = np.where(problem.upper - x < CHECKED[1] * size, -size, direction)
         slope, terms = M @ direction, point.absolute @ size

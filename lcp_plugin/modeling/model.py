@@ -324,10 +324,13 @@ class Model:
                 f"{side} is not a variable, and {other} has no sign; write {other} >= 0 or <= 0, or give one side a "
                 "variable of its own: y == side in the list, and y in its place in the pair"
             )
-        is_bounded = np.isfinite((low, high)).any()
-        if other.form == "zero" and is_bounded:
+        is_bounded = np.isfinite((low, high))
+        check_inequality(pair, side, other, is_bounded)
+        if other.form == "zero" and is_bounded.any():
             warn_of_equality_between_bounds(pair, side)
-        elif side.form == other.form == "value" and not is_bounded and not states_bounds(side):
+        elif (
+            side.form == other.form == "value" and not is_bounded.any() and not states_bounds(side)
+        ):
             warn(
                 f"{side} has no bounds: complements({side}, F) means F == 0; write that, or nonneg=True"
             )
@@ -341,7 +344,7 @@ class Model:
         is_crossed = (lower == np.inf) | (upper == -np.inf) | (ends[0] * scale > ends[1] * scale)
         if is_crossed.any():
             raise UnsupportedModel(f"the lower bound of {side} is above the upper, or overflows")
-        sign = np.sign(scale) * sign_of_slack(pair, side, other, self.read(side))
+        sign = np.sign(scale) * sign_of_slack(side, other, self.read(side))
         if side.form != "value":
             stated = (side.lower, side.upper) if side.form == "box" else (0.0, np.inf)
             self.bounds.append((columns, scale, expression, *stated))
@@ -553,18 +556,22 @@ def friction_of(side: Side) -> Vector | None:
     return np.asarray(contacts + compat.bound_value(side.friction, side))
 
 
-def sign_of_slack(pair: TwoSides, side: Side, other: Side, read: ReadSide) -> Vector:
+def sign_of_slack(side: Side, other: Side, read: ReadSide) -> Vector:
     """Return the sign of w in the other side: of G ≥ 0, −1 at an upper bound; of F next to u ≥ 0, of u in z."""
-    has_low, has_high = np.isfinite(read.low), np.isfinite(read.high)
-    if side.form == "nonnegative" or other.form != "nonnegative":
-        is_turned = (side.form, other.form) == ("nonnegative", "value")
-        return np.ones(has_low.size) * (np.sign(read.weights) if is_turned else 1.0)
-    if (has_low == has_high).any():
+    if other.form == "nonnegative" and side.form != "nonnegative":
+        return np.where(np.isfinite(read.high) & ~np.isfinite(read.low), -1.0, 1.0)
+    is_turned = (side.form, other.form) == ("nonnegative", "value")
+    return np.ones(read.low.size) * (np.sign(read.weights) if is_turned else 1.0)
+
+
+def check_inequality(pair: TwoSides, side: Side, other: Side, is_bounded: Array) -> None:
+    """Raise UnsupportedModel for an inequality opposite a variable that does not have exactly one bound."""
+    is_stated = other.form == "nonnegative" and side.form != "nonnegative"
+    if is_stated and (is_bounded[0] == is_bounded[1]).any():
         raise UnsupportedModel(
             f"{pair!r} states an inequality opposite a variable that has two bounds, or none; give the expression "
             "alone, F instead of F >= 0: it is ≥ 0 at the lower bound and ≤ 0 at the upper one"
         )
-    return np.where(has_low, 1.0, -1.0)
 
 
 def states_bounds(side: Side) -> bool:
@@ -598,5 +605,5 @@ def pair_residual(pair: TwoSides) -> Vector | None:
         cones = ConePair(np.arange(z.size), side.rows, friction_of(side))
         return np.abs(cone_problem(np.eye(z.size), np.zeros(z.size), [cones]).residual(z, w))
     read = model.read(side)
-    w = sign_of_slack(pair, side, other, read) * w
+    w = sign_of_slack(side, other, read) * w
     return np.abs(np.minimum(np.maximum(w, z - read.high), z - read.low))

@@ -339,6 +339,14 @@ def test_violation_is_the_natural_residual_of_any_form():
     assert [complements(top, F).violation() for F in (top - 1, top + 1)] == [0.0, 1.0]
 
 
+def test_violation_of_a_pair_whose_variable_has_another_pair():
+    """The other side is the variable in the model, but not in the pair alone."""
+    share, price = cp.Variable(bounds=[0, 1]), cp.Variable()
+    pairs = [complements(share, share - 0.5), complements(share, price >= 0)]
+    model(*pairs)
+    assert [pair.violation() for pair in pairs] == [0.0, 0.0]
+
+
 def bounded_beside_a_box() -> Any:
     x, w = cp.Variable(3), cp.Variable(3, nonneg=True, name="w")
     return [complements(box(x, 0, 1), w), w == cp.multiply([2.0, 3.0, 4.0], x) - 1]

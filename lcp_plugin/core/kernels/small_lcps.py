@@ -130,7 +130,7 @@ def solve_active_sets(M, q, lower, upper, sides, table, free, z):  # type: ignor
     n = q.shape[1]
     T = table
     for k in range(q.shape[0]):
-        at, m, least = k % M.shape[0], n - n, INF
+        at, m, least = k % M.shape[0], 0, INF
         for i in range(n):
             z[k, i] = upper[k, i] if sides[k, i] == HIGH else lower[k, i]
             if sides[k, i] == FREE:

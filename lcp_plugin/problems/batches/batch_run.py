@@ -113,8 +113,8 @@ class BatchRun:
                     self._take(items, *solve_stack())
                     self.report()
 
-        is_table = isinstance(self.z, np.ndarray)
-        n = self.z.shape[1] if is_table else max(map(len, self.z), default=0)
+        sizes = (problems[int(items[0])].n for items, _ in stacks)
+        n = self.z.shape[1] if isinstance(self.z, np.ndarray) else max(sizes, default=0)
         with one_blas_thread() if stacks and n > LOOP_UP_TO else nullcontext():
             run_in_chunks(solve_some, len(stacks), self.threads)
 

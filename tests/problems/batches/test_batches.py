@@ -51,13 +51,15 @@ def test_a_batch_is_what_solve_gives_one_by_one(algorithm, shared):
 
 
 def test_solve_batch_of_large_problems_gives_blas_one_thread():
-    """BLAS has one thread in a batch of problems with more than 128 unknowns, if threadpoolctl is installed."""
+    """BLAS has one thread in stacks of problems with more than 128 unknowns, if threadpoolctl is installed."""
     tools, seen = pytest.importorskip("threadpoolctl"), list[int]()
+    apart = np.tile([-1.0, 0.1, 0.0], 43)
     with tools.threadpool_limits(2):
         solve_batch(
-            np.stack([np.eye(129)] * 2),
-            -np.ones(129),
-            callback=lambda *_: seen.extend(one["num_threads"] for one in tools.threadpool_info()),
+            [FrictionalContact(np.eye(129), apart, 0.5)] * 2,
+            callback=lambda *_: seen.extend(
+                one["num_threads"] for one in tools.threadpool_info() if one["user_api"] == "blas"
+            ),
         )
     assert set(seen) == {1}
 

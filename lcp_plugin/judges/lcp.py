@@ -567,6 +567,7 @@ def bound_residual(data: RowData, z: Vector, tolerance: float, most: Any = INF) 
 
     A finite bound shows that the criterion accepts z, as :func:`bound_residuals` proves it for stacks; it takes half of
     the time. The factors .999 and 1.001 cover the rounding of the last lines. `most` bounds the reference of each row.
+    If a |w_i| that counts exceeds 2⁻⁴³ T_i, which is above its rounding, half of the other limit of test 2 decides.
     """
     if not z.size:
         return INF
@@ -583,6 +584,7 @@ def bound_residual(data: RowData, z: Vector, tolerance: float, most: Any = INF) 
     if is_shifted := origin.any():
         at_0 = data.M.dot(origin) + data.q
     first = np.abs(clip(at_0 / scale, origin - data.upper, origin - data.lower))
+    terms_at_0 = size_of_q
     if is_shifted:
         terms_at_0 = data.absolute.dot(np.abs(origin)) + size_of_q
         first -= (margin * terms_at_0 + SMALLEST**2) / scale
@@ -590,7 +592,12 @@ def bound_residual(data: RowData, z: Vector, tolerance: float, most: Any = INF) 
     largest, first = top(residual), top(first)
     reference = np.minimum(np.minimum(first, most), top(terms / scale * is_free))  # or less
     is_right = (residual < 0.999 * np.where(is_free, nearest, farthest)) | (farthest <= 0.0)
-    is_right &= violation <= 0.5 * NEGLIGIBLE * terms
+    allowed = NEGLIGIBLE * terms
+    if np.count_nonzero(violation > 0.5 * allowed):
+        demand = np.abs(at_0) - 2.0 * NEGLIGIBLE * terms_at_0
+        wider = np.minimum(tolerance**ROW_POWER * terms, tolerance**DEMAND_POWER * demand)
+        allowed = np.maximum(allowed, wider)
+    is_right &= violation <= 0.5 * allowed
     if not (first > 0.0).all():
         is_right &= (first > 0.0) | (top(np.abs(z - origin)) == 0.0)
     if not np.logical_and.reduce(is_right & (1.001 * largest <= 0.5 * tolerance * reference)):

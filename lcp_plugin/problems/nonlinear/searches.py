@@ -189,7 +189,7 @@ class JosephyNewton(Algorithm):
 
     def is_flat(self) -> bool:
         """Return whether the residual is negligible next to the residual of the start."""
-        return self.size_of(self.current) <= NEGLIGIBLE * self.size_of(self.first)
+        return self.sizes_of(self.current)[0] <= NEGLIGIBLE * self.sizes_of(self.first)[0]
 
     def full_step(self, target: Aim) -> Linearization | None:
         """Return the target if its residual is less than ¾ of the current residual, in the current scale."""
@@ -247,16 +247,12 @@ class JosephyNewton(Algorithm):
         """Return whether only rounding in F keeps the current point from passing."""
         return self.current.is_limited(self.settings)
 
-    def size_of(self, point: Linearization) -> float:
-        """Return the largest residual or violation, in the units of the start.
+    def sizes_of(self, point: Linearization) -> tuple[float, float, float]:
+        """Return the largest residual or violation, the violation, and the residual, in the units of the start.
 
         Next to a pole only the residual falls, because x_i approaches its bound; if F tends to 0 as x diverges, only
         the violation falls.
         """
-        return self.sizes_of(point)[0]
-
-    def sizes_of(self, point: Linearization) -> tuple[float, float, float]:
-        """Return the largest residual or violation, the violation, and the residual, in the units of the start."""
         if point.run_sizes is None:
             violation = max_norm(self.weights * (point.violation / self.first.scale))
             residual = max_norm(self.weights * point.steps)
@@ -265,7 +261,7 @@ class JosephyNewton(Algorithm):
 
     def progress(self, point: Linearization) -> float:
         """Return the measure that must fall: the size, and then the componentwise test."""
-        size = self.size_of(point)
+        size = self.sizes_of(point)[0]
         if point.is_small(self.settings):
             rows = point.measure_by(self.settings).by_row
             size *= 0.0 if rows is None else min(1.0, max_norm(rows.componentwise))

@@ -246,7 +246,7 @@ class NonlinearRun(Run):
 
     def end_of(self, stage: Stage, step: Step, measured: Measured) -> Status | None:
         """Return DIVERGED if a residual is not a number."""
-        return Status.DIVERGED if math.isnan(self.newton.size_of(measured.z)) else None
+        return Status.DIVERGED if math.isnan(self.newton.sizes_of(measured.z)[0]) else None
 
     def result(self, end: Status, begun: str = "") -> Result:
         """Return the result: the best point, moved to near bounds unless Ctrl-C ended the run."""

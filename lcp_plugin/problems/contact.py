@@ -167,8 +167,9 @@ class Contacts:
 
         def by_edges(x: FloatArray) -> FloatArray:
             """Return rows of normals and edges in place of normals and tangents."""
-            of_contacts = each @ x[: len(x) - p].reshape(k, 1 + t, -1)
-            return np.concatenate([of_contacts.reshape(order.size, -1)[order], x[len(x) - p :]])
+            of_contacts = each @ x[: len(x) - p].reshape(k, 1 + t, x.shape[1])
+            rows = of_contacts.reshape(order.size, x.shape[1])
+            return np.concatenate([rows[order], x[len(x) - p :]])
 
         moving = self.velocities.copy()
         moving[:, 0] += self.closing
@@ -429,8 +430,8 @@ def contacts_of_bodies(
     is_sparse = any(map(sp.issparse, parts)) or v > 300
     mass, normals, tangents, joints = map(sp.csr_array, parts) if is_sparse else parts
     k, p = normals.shape[0], joints.shape[0]
-    t = tangents.shape[0] // max(k, 1)
-    if (k and t not in (1, 2)) or tangents.shape != (t * k, v) or shape[:-2] not in ((), (k,)):
+    t = tangents.shape[0] // k if k else shape[1] if len(shape) == 3 else 2
+    if t not in (1, 2) or tangents.shape != (t * k, v) or shape[:-2] not in ((), (k,)):
         raise InvalidProblem(
             f"tangents must have shape (k, t, {v}) or (t k, {v}), t = 2 in space and 1 in the plane, the t of a "
             f"contact one after the other, k = {k} as of the normals; got {shape}"

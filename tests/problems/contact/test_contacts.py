@@ -131,6 +131,18 @@ def test_tangents_of_a_free_body_are_orthogonal_unit_vectors(tangents):
             FrictionalContact(given, np.zeros(6), 0.4)
 
 
+@pytest.mark.parametrize(("shape", "t"), [((0, 1, 4), 1), ((0, 2, 4), 2), ((0, 4), 2)])
+def test_bodies_that_do_not_touch_move_on(shape, t):
+    """Without contacts the velocities stay, unless equations change them; flat tangents are read as in space."""
+    bodies, velocities = (np.eye(4), np.zeros((0, 4)), np.zeros(shape)), np.ones(4)
+    for rows, expected in ((np.zeros((0, 4)), velocities), (np.ones((1, 4)), np.zeros(4))):
+        pyramids = LCP.from_contacts(bodies, 0.5, velocities, equations=rows)
+        cones = FrictionalContact(bodies, velocities, 0.5, equations=rows)
+        for motion in (pyramids.origin.recover(solve(pyramids)), solve(cones).motion):
+            assert motion.tangential.shape == (0, t)
+            np.testing.assert_allclose(motion.body_velocities, expected, atol=1e-12)
+
+
 def test_an_answer_to_another_q_has_its_own_velocities():
     """``problem.with_q(q)`` along a trajectory leads back to the velocities that its q stands for."""
     bodies = [np.diag([2.0, 2.0, 2.0]), [[0.0, 0.0, 1.0]], [[[1.0, 0.0, 0.0], [0.0, 1.0, 0.0]]]]

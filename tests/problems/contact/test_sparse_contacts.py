@@ -93,7 +93,6 @@ FrictionalContact((MASS, NORMALS), VELOCITIES, 0.5)
 FrictionalContact((MASS + sp.eye_array(24, k=1), NORMALS, TANGENTS), VELOCITIES, 0.5)
     → the mass matrix must be symmetric
 FrictionalContact((MASS * np.nan, NORMALS, TANGENTS), VELOCITIES, 0.5) → the mass matrix must be finite
-FrictionalContact((MASS, NORMALS[:0], TANGENTS[:0]), VELOCITIES, 0.5) → must be 3, or 2 in the plane, .*0 rows
 """)
 def test_what_does_not_fit_is_refused_in_words(call, words):
     """Shapes, definiteness, directions, numbers."""

@@ -59,7 +59,7 @@ def count_entries(matrix: AnyMatrix) -> int:
 def entries_of_rows(matrix: AnyMatrix) -> Any:
     """Return the number of nonzeros of each row; without its zeros if the matrix, or a stack of matrices, is dense."""
     is_dense = isinstance(matrix, np.ndarray)
-    return np.count_nonzero(matrix, axis=-1) if is_dense else np.diff(matrix.indptr)
+    return np.add.reduce(matrix != 0.0, axis=-1) if is_dense else np.diff(matrix.indptr)
 
 
 def largest_products(sizes: AnyMatrix, x: Vector) -> Vector:

@@ -65,7 +65,9 @@ class DAQP(Engine):
 
 def kinds_of_rows(n: int, m: int, p: int) -> Any:
     """Return daqp's `sense` of n bounds and m inequalities, 0, and of p equations, 5."""
-    return np.repeat([0, 5], [n + m, p]).astype(np.intc)
+    kinds = np.zeros(n + m + p, np.intc)
+    kinds[n + m :] = 5
+    return kinds
 
 
 def ends_of_rows(d: Array, m: int, lower: Array, upper: Array) -> tuple[Array, Array]:

@@ -218,7 +218,7 @@ class ProgramTerms:
     @cached_property
     def both(self) -> tuple[Vector, Vector]:
         """[P; C] and the sizes of its entries, dense."""
-        both = np.vstack([self.P, self.C])
+        both = np.concatenate((self.P, self.C))
         return both, np.abs(both)
 
     def needed_multipliers(self, slopes: Vector, y: Vector) -> Vector:
@@ -468,34 +468,28 @@ def ratio(errors: Vector, sizes: Vector) -> Vector:
     return np.where(errors > 0.0, errors / np.maximum(sizes, LEAST_PRICE), errors)
 
 
-def sharp_errors(program: JudgedProgram, x: Vector, y: Vector) -> KKTErrors:
+def sharp_errors(
+    program: JudgedProgram, x: Vector, y: Vector, *, is_compiled: bool = False
+) -> KKTErrors:
     """Return upper bounds of the two measures of a point of a dense program, by plain sums; ∞ where costs vanish."""
     (terms, *_), parts = program, program.terms.components
-    data = *sharp_sums(*terms.both, terms.m, *program[1:], x, y), parts.of_unknown, parts.of_row
-    lists = [each.tolist() for each in data]  # which Python reads faster
+    data, pieces = (*terms.both, terms.m, *program[1:], x, y), (parts.of_unknown, parts.of_row)
+    if is_compiled:
+        return KKTErrors(*compiled_measures(*data, *pieces, parts.number))
+    # Python reads lists faster
+    lists = [each.tolist() for each in (*sharp_sums(*data), *pieces)]  # type: ignore[no-untyped-call]
     lists.append([[0.0] * 5 for _ in range(parts.number)])
     return KKTErrors(*sharp_measures(terms.m, *lists))  # type: ignore[no-untyped-call]
 
 
-def sharp_sums(
-    both: Array,
-    of_both: Array,
-    m: int,
-    c: Array,
-    d: Array,
-    lower: Array,
-    upper: Array,
-    x: Array,
-    y: Array,
-) -> tuple[Any, ...]:
-    """Return the arguments of `sharp_measures` for a point, or for points in rows: sums, c, d, the point, x and |y|."""
-    point, n, y = x, x.shape[-1], np.where(d < INF, y, 0.0)
-    x, C, of_C = clip(x, lower, upper), both[..., n:, :], of_both[..., n:, :]
-    np.maximum(y[..., :m], 0.0, out=y[..., :m])
-    of_x, of_y = np.abs(x), np.abs(y)
-    of_columns = (both @ x[..., None])[..., 0], (of_both @ of_x[..., None])[..., 0]
-    of_rows = (y[..., None, :] @ C)[..., 0, :], (of_y[..., None, :] @ of_C)[..., 0, :]
-    return *of_columns, *of_rows, c, d, point, x, of_y
+def sharp_sums(both, of_both, m, c, d, lower, upper, x, y):  # type: ignore[no-untyped-def]
+    """Return the arguments of `sharp_measures` for a point: sums, c, d, the point, x and |y|."""
+    point, n, y = x, len(x), np.where(d < INF, y, 0.0)
+    x = np.minimum(np.maximum(x, lower), upper)
+    y[:m] = np.maximum(y[:m], 0.0)
+    of_x, of_y, C, of_C = np.abs(x), np.abs(y), both[n:], of_both[n:]
+    sums = both.dot(x), of_both.dot(of_x), y.dot(C), of_y.dot(of_C)
+    return *sums, c, d, point, x, of_y
 
 
 def sharp_measures(m, values, sizes, slopes, weights, c, d, point, x, of_y, part, of_row, totals):  # type: ignore[no-untyped-def]
@@ -540,16 +534,21 @@ def sharp_measures(m, values, sizes, slopes, weights, c, d, point, x, of_y, part
     return primal, gap
 
 
-COMPILED_MEASURES = helper(sharp_measures)
+COMPILED_SUMS, COMPILED_MEASURES = helper(sharp_sums), helper(sharp_measures)
 
 
 @kernel
-def measure_many(m, values, sizes, slopes, weights, c, d, point, x, of_y, errors):  # type: ignore[no-untyped-def]
-    """Write both measures of the points in rows, of programs of one component."""
+def compiled_measures(both, of_both, m, c, d, lower, upper, x, y, part, of_row, count):  # type: ignore[no-untyped-def]
+    """Return both measures of a point of a program of `count` components."""
+    sums = COMPILED_SUMS(both, of_both, m, c, d, lower, upper, x, y)
+    return COMPILED_MEASURES(m, *sums, part, of_row, np.zeros((count, 5)))
+
+
+@kernel
+def measure_many(both, m, c, d, lower, upper, x, y, errors):  # type: ignore[no-untyped-def]
+    """Write both measures of points in rows, of programs of one component; `both` has one [P; C], or one a point."""
     part, of_row = np.zeros(c.shape[1], np.int64), np.zeros(d.shape[1], np.int64)
     for k in range(len(c)):
-        sums, vectors = (values[k], sizes[k], slopes[k], weights[k]), (c[k], d[k])
-        totals = np.zeros((1, 5))
-        errors[k, 0], errors[k, 1] = COMPILED_MEASURES(
-            m, *sums, *vectors, point[k], x[k], of_y[k], part, of_row, totals
-        )
+        one, ends = both[k % len(both)], (lower[k], upper[k])
+        sums = COMPILED_SUMS(one, np.abs(one), m, c[k], d[k], *ends, x[k], y[k])
+        errors[k] = COMPILED_MEASURES(m, *sums, part, of_row, np.zeros((1, 5)))

@@ -1,6 +1,6 @@
 """`prepare`: a solver of many problems that differ in some data, as in the loop of a controller.
 
-A small dense LCP or program takes a short way: a kernel or an external solver, and one sufficient test, which
+A small dense LCP or program takes a short way: a kernel or an external solver, and one sufficient, compiled test, which
 implies the criterion. If the test does not decide, or if options watch or limit the run, the solver of `solve` runs.
 """
 
@@ -188,35 +188,37 @@ class PreparedProgram(PreparedProblem[QuadraticProgram]):
         is_bare = options.keys() <= DEFAULTS.keys() and algorithm in ("auto", "daqp")
         is_dense = (base.terms.counts > 1).all() and base.terms.is_dense
         if has_time and is_bare and is_dense and base.of_daqp and not settings.is_watched:
-            vectors = {name: getattr(problem, name) for name in problem.vector_names}
-            self._arrays = base.of_daqp, vectors
+            # Writable, as the data of each step: for other arrays a kernel is compiled again
+            vectors = {name: getattr(problem, name).copy() for name in problem.vector_names}
+            self._arrays = base.of_daqp, vectors, has_numba()
 
     @np.errstate(all="ignore")  # of a point that is not finite
     def _solve_quickly(self, start: Any, **data: Any) -> Any:
         """Return daqp's point if plain sums accept it, and nothing hints at a program without a minimum."""
         if self._arrays is None or not data.keys().isdisjoint(self.problem.matrix_names):
             return None
-        clock, ((P, C, kinds), vectors) = Clock(), self._arrays
+        clock, (layout, vectors, is_compiled) = Clock(), self._arrays
         if start is not None:
             checked_start_of_program(self.problem, start)
         if all(is_plain(value, *vectors[name].shape) for name, value in data.items()):
-            copies = {name: read_only(value.copy()) for name, value in data.items()}
+            copies = {name: value.copy() for name, value in data.items()}
         else:  # the constructor converts and checks other data
             changed = self.problem.with_vectors(**data)
-            copies = {name: getattr(changed, name) for name in data}
+            copies = {name: getattr(changed, name).copy() for name in data}
         c, h, b, lower, upper = every = [*(vectors | copies).values()]
         d, m = np.concatenate((h, b)), h.size
         # NaN in other data does not pass the test; the constructor checks bounds that cross
         if not (d @ d < INFINITE_LIMIT**2 and (lower <= upper).all()):
             return None
         ends = ends_of_rows(d, m, lower, upper)
-        end = DAQP.end_of(m, P, C, kinds, c.copy(), *ends, DAQP.defaults)
+        end = DAQP.end_of(m, *layout, c.copy(), *ends, DAQP.defaults)
         if end.reported is EngineStatus.INFEASIBLE:
             changed = self.problem.with_vectors(*every)
             return infeasible_result(changed, end, self._settings, clock.read())
         x, y = clip(end.x, lower, upper), end.y
         judged = JudgedProgram(self.problem.matrices.terms, c, d, lower, upper)
-        errors, most = sharp_errors(judged, x, y), 0.5 * self._settings.tolerance
+        errors = sharp_errors(judged, x, y, is_compiled=is_compiled)
+        most = 0.5 * self._settings.tolerance
         if not errors.gap <= most:  # multipliers of active bounds count; then by the rule of solve
             errors, x = KKTErrors.with_point(judged, x, y, self._settings.tolerance)
             most = min(most, NO_POLISH * (x.size + y.size))

@@ -15,7 +15,7 @@ from ...core.errors import InvalidProblem, LCPError
 from ...core.kernels.floats import EPSILON, FEW_ROUNDINGS
 from ...engines import is_installed
 from ...engines.solvers import DAQP, call_daqp, ends_of_rows, kinds_of_rows
-from ...judges.program import JudgedProgram, KKTErrors, ProgramTerms, measure_many, sharp_sums
+from ...judges.program import JudgedProgram, KKTErrors, ProgramTerms, measure_many
 from ...methods.small import LOOP_FROM, has_numba
 from ..many import rows_of_a_batch
 from ..programs.program import CANCELS, VECTORS, QuadraticProgram
@@ -239,7 +239,7 @@ def solve_programs(
         both, found = np.concatenate((P, C), axis=1), np.empty((first.size, 2))
         both = both if len(both) == 1 else both[first]
         each = (array[first] for array in (c, d, lower, upper, x, y))
-        measure_many(m, *sharp_sums(both, np.abs(both), m, *each), found)
+        measure_many(both, m, *each, found)
         measured[first] = found
     for k in finite[~KKTErrors(*measured[finite].T).meet(tolerance)].tolist():
         judged = JudgedProgram(terms[k % len(terms)], c[k], d[k], lower[k], upper[k])

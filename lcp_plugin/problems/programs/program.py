@@ -368,7 +368,7 @@ def _checked_rows(
 
 def symmetrized(P: AnyMatrix) -> tuple[Any, float]:
     """Return P with rounding errors in its symmetry averaged away, and the size of these errors."""
-    if isinstance(P, np.ndarray) and np.array_equal(P, P.T):
+    if isinstance(P, np.ndarray) and np.logical_and.reduce(P == P.T, None):
         return P, 0.0
     asymmetry, where = asymmetry_of(P)
     if where is not None:

@@ -70,8 +70,9 @@ class ProgramMatrices:
     def arrays(self) -> tuple[Any, Any, Any]:
         """P, G and A: all ndarrays if they are small, full or the user's, else all CSR arrays."""
         matrices, (m, p, n, _) = (self.P, self.G, self.A), self.sizes
-        are_given_so = all(isinstance(matrix, np.ndarray) for matrix in matrices)
-        are_dense = are_given_so or self.is_small or is_full(n, m + p, self.entries)
+        if all(isinstance(matrix, np.ndarray) for matrix in matrices):
+            return matrices
+        are_dense = self.is_small or is_full(n, m + p, self.entries)
         P, G, A = map(as_array if are_dense else as_csr, matrices)
         return P, G, A
 
@@ -87,7 +88,7 @@ class ProgramMatrices:
         parts = [matrix for matrix in both if matrix.shape[0]] or both[:1]
         if len(parts) == 1:
             return P, parts[0]
-        return P, (sp.vstack(parts, "csr") if sp.issparse(P) else np.vstack(parts))
+        return P, (sp.vstack(parts, "csr") if sp.issparse(P) else np.concatenate(parts))
 
     @cached_property
     def of_daqp(self) -> tuple[Vector, Vector, Any] | None:

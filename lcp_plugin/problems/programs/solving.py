@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 from collections.abc import Iterator
 from typing import Any
 
@@ -96,11 +95,11 @@ def solve_program(
     is_limited = not settings.max_iterations or settings.max_seconds <= 0.0
     end = None
     if name == "auto" and not (settings.verbose or is_limited):
-        end, first, residual = first_point(program, settings, clock)
+        end, first, errors = first_point(program, settings, clock)
         if first is not None and not settings.record and callback is None:
             return first
         if first is not None and first.is_solved:
-            ends = (nearest(program)[0], None), residual
+            ends = (nearest(program)[0], None), float(errors.largest)
             if (result := with_samples(program, first, settings, callback, *ends)) is not None:
                 return result
             callback = end_at_once
@@ -154,40 +153,40 @@ def checked_start_of_program(program: QuadraticProgram, z0: object) -> Vector:
 
 def first_point(
     program: QuadraticProgram, settings: Settings, clock: deadline.Clock
-) -> tuple[EnginePoint | None, QuadraticProgramResult | None, float]:
-    """Return daqp's end on a small program, the result if a run of auto would end with this point, and its residual.
+) -> tuple[EnginePoint | None, QuadraticProgramResult | None, Any]:
+    """Return daqp's end on a small program, the result if a run of auto would end with this point, and its errors.
 
     A run takes the end as that of its first stage.
     """
     matrices = program.matrices
     if not matrices.is_small or sum(matrices.sizes[:3]) > LOOP_UP_TO:  # a run costs less than daqp
-        return None, None, math.inf
+        return None, None, None
     reduced = program.folded.reduced
     if (layout := reduced.matrices.of_daqp) is None:
-        return None, None, math.inf
+        return None, None, None
     c, judged, lower, upper = reduced.c, reduced.judged, reduced.lower, reduced.upper
     is_modest = 1e-12 < c @ c + np.vdot(layout[0], layout[0]) < 1e18  # `with_modest_costs` keeps it
     if not is_modest or (reduced.b.size and regression_of(reduced) is not None):
-        return None, None, math.inf
+        return None, None, None
     options = DAQP.defaults
     if settings.max_iterations < options["iter_limit"]:
         options = {**options, "iter_limit": settings.max_iterations}
     m, tolerance = reduced.h.size, settings.tolerance
     end = DAQP.end_of(m, *layout, c.copy(), *ends_of_rows(judged.d, m, lower, upper), options)
     if end.reported is EngineStatus.INFEASIBLE:
-        return end, infeasible_result(program, end, settings, clock.read()), math.inf
+        return end, infeasible_result(program, end, settings, clock.read()), None
     x, y = clip(without_noise(end.x), lower, upper), without_noise(end.y)  # as a run begins
     errors, x = KKTErrors.with_point(judged, x, y, tolerance)
     is_sharp = errors.meet(tolerance) and errors.gap <= NO_POLISH * (x.size + y.size)
     if not is_sharp or is_in_doubt(program, errors, x):
-        return end, None, math.inf
+        return end, None, None
     # Multipliers of a point that passes overflow only if coefficients divide them
     make = QPSolution.on_access if reduced is program else QPSolution.from_reduced
     fields = {"algorithm": "auto: daqp", "iterations": end.iterations, "tolerance": tolerance}
     stages = (StageRecord(DAQP.name, DAQP.solves, end.iterations, 0.0),)
     fields |= {"seconds": clock.read(), "stages": stages, "status": Status.SOLVED}
     result = QuadraticProgramResult.of_known(None, **fields, solution=make(program, x, y))
-    return end, result, float(errors.largest)
+    return end, result, errors
 
 
 def infeasible_result(

@@ -57,9 +57,9 @@ class DAQP(Engine):
     @staticmethod
     def end_of(m: int, *call: Any) -> EnginePoint:
         """Return the end of daqp's run on arrays, as :func:`call_daqp` takes them, with m inequalities."""
-        x, y, flag, steps = call_daqp(*call)
-        y = y[x.size :].copy()
-        np.maximum(y[:m], 0.0, out=y[:m])
+        x, signed, flag, steps = call_daqp(*call)
+        y = np.maximum(signed[x.size :], 0.0)
+        y[m:] = signed[x.size + m :]
         return EnginePoint(x, y, steps, DAQP_STATUS.get(flag, EngineStatus.GAVE_UP))
 
 

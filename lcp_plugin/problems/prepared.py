@@ -39,9 +39,15 @@ from ..solving.dispatch import parse_call, solver_with
 from ..solving.result import NOTHING_TO_DO, Result, StageRecord
 from ..solving.run import with_samples
 from .programs.program import QuadraticProgram, refuse_nonconvex
-from .programs.result import QuadraticProgramResult
 from .programs.solution import QPSolution
-from .programs.solving import CERTAIN_ROWS, FAR, checked_start_of_program, infeasible_result, parsed
+from .programs.solving import (
+    CERTAIN_ROWS,
+    FAR,
+    checked_start_of_program,
+    infeasible_result,
+    parsed,
+    result_of_daqp,
+)
 
 P = TypeVar("P")
 
@@ -206,9 +212,10 @@ class PreparedProgram(PreparedProblem[QuadraticProgram]):
             changed = self.problem.with_vectors(**data)
             copies = {name: getattr(changed, name).copy() for name in data}
         c, h, b, lower, upper = every = [*(vectors | copies).values()]
-        d, m = np.concatenate((h, b)), h.size
+        d, m = np.concatenate((h, b)) if b.size else h, h.size
         # NaN in other data does not pass the test; the constructor checks bounds that cross
-        if not (d @ d < INFINITE_LIMIT**2 and (lower <= upper).all()):
+        has_bounds = "lower" in data or "upper" in data
+        if not d.dot(d) < INFINITE_LIMIT**2 or (has_bounds and not (lower <= upper).all()):
             return None
         ends = ends_of_rows(d, m, lower, upper)
         end = DAQP.end_of(m, *layout, c.copy(), *ends, DAQP.defaults)
@@ -222,14 +229,12 @@ class PreparedProgram(PreparedProblem[QuadraticProgram]):
         if not errors.gap <= most:  # multipliers of active bounds count; then by the rule of solve
             errors, x = KKTErrors.with_point(judged, x, y, self._settings.tolerance)
             most = min(most, NO_POLISH * (x.size + y.size))
-        is_certain = errors.primal <= CERTAIN_ROWS and x @ x <= FAR**2
+        is_certain = errors.primal <= CERTAIN_ROWS and x.dot(x) <= FAR**2
         if not (is_certain and errors.gap <= most):
             return None
         solution = QPSolution.of_known(partial(self._solution, every, x, y), x=read_only(x))
-        stages = (StageRecord(DAQP.name, "prepared", end.iterations, 0.0),)
-        run = {"algorithm": "auto: daqp", "iterations": end.iterations, "stages": stages}
-        run |= {"tolerance": self._settings.tolerance, "seconds": clock.read()}
-        return QuadraticProgramResult.of_known(None, solution=solution, status=Status.SOLVED, **run)
+        known = {"status": Status.SOLVED, "solution": solution}
+        return result_of_daqp(end, "prepared", self._settings, clock.read(), **known)
 
     def _solution(self, data: list[Any], x: Vector, y: Vector) -> QPSolution:
         return QPSolution.from_reduced(self.problem.with_vectors(*data), x, y)

@@ -165,7 +165,9 @@ def first_point(
     if (layout := reduced.matrices.of_daqp) is None:
         return None, None, None
     c, judged, lower, upper = reduced.c, reduced.judged, reduced.lower, reduced.upper
-    is_modest = 1e-12 < c @ c + np.vdot(layout[0], layout[0]) < 1e18  # `with_modest_costs` keeps it
+    is_modest = (
+        1e-12 < c.dot(c) + np.vdot(layout[0], layout[0]) < 1e18
+    )  # `with_modest_costs` keeps it
     if not is_modest or (reduced.b.size and regression_of(reduced) is not None):
         return None, None, None
     options = DAQP.defaults
@@ -182,11 +184,8 @@ def first_point(
         return end, None, None
     # Multipliers of a point that passes overflow only if coefficients divide them
     make = QPSolution.on_access if reduced is program else QPSolution.from_reduced
-    fields = {"algorithm": "auto: daqp", "iterations": end.iterations, "tolerance": tolerance}
-    stages = (StageRecord(DAQP.name, DAQP.solves, end.iterations, 0.0),)
-    fields |= {"seconds": clock.read(), "stages": stages, "status": Status.SOLVED}
-    result = QuadraticProgramResult.of_known(None, **fields, solution=make(program, x, y))
-    return end, result, errors
+    known = {"status": Status.SOLVED, "solution": make(program, x, y)}
+    return end, result_of_daqp(end, DAQP.solves, settings, clock.read(), **known), errors
 
 
 def infeasible_result(
@@ -198,16 +197,23 @@ def infeasible_result(
     """
     if (shown := shown_proof(program)) is None:
         return None
-    (x, proof), because = shown, f"it reports {end.reported.value}"
-    stages = (StageRecord(DAQP.name, because, end.iterations, 0.0),)
+    (x, proof), run = shown, (end, f"it reports {end.reported.value}", settings, seconds)
     if settings.prove_infeasibility:
-        known = {"status": proof.status, "proof": proof, "solution": QPSolution.none(program)}
-    else:
-        solution = QPSolution.on_access(program, x, np.zeros(program.folded.left.size))
-        known = {"status": Status.STALLED, "solution": solution}
-    fields = {"tolerance": settings.tolerance, "seconds": seconds, "stages": stages}
-    fields |= {"algorithm": "auto: daqp", "iterations": end.iterations}
-    return QuadraticProgramResult.of_known(None, **fields, **known)
+        none = QPSolution.none(program)
+        return result_of_daqp(*run, status=proof.status, solution=none, proof=proof)
+    solution = QPSolution.on_access(program, x, np.zeros(program.folded.left.size))
+    return result_of_daqp(*run, status=Status.STALLED, solution=solution)
+
+
+def result_of_daqp(
+    end: EnginePoint, because: str, settings: Settings, seconds: float, **others: Any
+) -> QuadraticProgramResult:
+    """Return the result of a solve whose only stage is daqp; `others` are its status, its solution and a proof."""
+    stages = (StageRecord(DAQP.name, because, end.iterations, 0.0),)
+    known = {"algorithm": "auto: daqp", "iterations": end.iterations, "stages": stages}
+    return QuadraticProgramResult.of_known(
+        None, seconds=seconds, tolerance=settings.tolerance, **known, **others
+    )
 
 
 def is_in_doubt(program: QuadraticProgram, errors: KKTErrors, x: Vector) -> bool:

@@ -15,7 +15,7 @@ sys.path[0] = str(Path(__file__).parents[1])
 sys.path.insert(1, str(Path(__file__).parents[2]))
 
 from applications import entries  # noqa: E402
-from applications.table import all_runs, cases, differences, path_of, read, written  # noqa: E402
+from applications.table import all_runs, cases, differences, path_of, read, worse_of, written  # noqa: E402
 
 
 def main() -> int:
@@ -31,6 +31,11 @@ def main() -> int:
         "--against", metavar="COMMIT", help="compare the table with a commit's; nothing is measured"
     )
     parser.add_argument("--dry-run", action="store_true", help="leave the table as it is")
+    parser.add_argument(
+        "--keep-worse",
+        action="store_true",
+        help="a row is the worse one of this processor and of the table",
+    )
     given = parser.parse_args()
     if unknown := set(given.names) - set(entries()):
         parser.error(f"unknown application {min(unknown)!r}; there are {', '.join(entries())}")
@@ -56,6 +61,8 @@ def main() -> int:
                 file=sys.stderr,
                 flush=True,
             )
+        if given.keep_worse:
+            new = worse_of({key: old[key] for key in old if key in new}, new)
         if given.names:  # the others stay as they are, in their places
             kept = {
                 key: row

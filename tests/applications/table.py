@@ -11,7 +11,7 @@ import io
 import warnings
 import zlib
 from collections.abc import Iterable, Iterator, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -288,6 +288,17 @@ def regressions(old: Table, new: Table) -> list[str]:
             continue
         lines.append(f"{' '.join(key)}: {before} → {after or 'nothing'}: {why}")
     return lines
+
+
+def worse_of(a: Table, b: Table) -> Table:
+    """Return the larger work and error of each row of both tables; the row of the worse status if these differ."""
+    return {
+        key: max(row, b[key], key=lambda one: one.rank)
+        if row.rank != b[key].rank
+        else replace(row, work=max(row.work, b[key].work), error=max(row.error, b[key].error))
+        for key, row in a.items()
+        if key in b
+    }
 
 
 def differences(old: Table, new: Table) -> Iterator[str]:

@@ -236,6 +236,11 @@ def check_kind(dtype: np.dtype[Any], need: str) -> None:
         )
 
 
+def is_plain(values: object, *shape: int) -> bool:
+    """Return whether the values are an array of doubles of this shape."""
+    return type(values) is np.ndarray and values.dtype == DOUBLE and values.shape == shape
+
+
 def real_array(values: Any, need: str) -> NDArray[np.float64]:
     """Return the values as a float64 array; raise InvalidProblem, with the text `need`, if they are not real."""
     if type(values) is np.ndarray and values.dtype == DOUBLE:

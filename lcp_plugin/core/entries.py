@@ -31,6 +31,11 @@ def max_norm(x: Vector) -> float:
     return float(np.maximum.reduce(np.abs(x), axis=None, initial=0.0))
 
 
+def all_finite(x: Vector) -> bool:
+    """Return whether all entries are finite, in half of the time of numpy's functions for short vectors."""
+    return x.dot(x) < np.inf or bool(np.logical_and.reduce(np.isfinite(x)))
+
+
 def clip(x: Array, lower: Vector, upper: Vector) -> Vector:
     """Return mid(lower, upper, x), in half of the time of numpy's function for short vectors."""
     return np.minimum(np.maximum(x, lower), upper)
@@ -64,9 +69,9 @@ def entries_of_rows(matrix: AnyMatrix) -> Any:
 
 def largest_products(sizes: AnyMatrix, x: Vector) -> Vector:
     """Return max_j |m_ij| x_j of each row, x ≥ 0; `sizes` is |M|, of one problem or, dense, of a stack."""
-    if sp.issparse(sizes):
-        return largest_in_rows(sizes, sizes.data * x[..., sizes.indices])
-    return np.asarray((sizes * x[..., None, :]).max(-1, initial=0.0))
+    if isinstance(sizes, np.ndarray):
+        return np.asarray((sizes * x[..., None, :]).max(-1, initial=0.0))
+    return largest_in_rows(sizes, sizes.data * x[..., sizes.indices])
 
 
 def residual_scales(diagonal: Vector, largest: Vector) -> Vector:

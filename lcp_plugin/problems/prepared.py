@@ -13,13 +13,13 @@ from typing import Any, Generic, TypeVar
 import numpy as np
 
 from ..core.checks import (
-    DOUBLE,
     INFINITE_LIMIT,
     Array,
     Vector,
     checked_bounds,
     checked_start,
     checked_vector,
+    is_plain,
     read_only,
 )
 from ..core.deadline import Clock
@@ -162,11 +162,6 @@ class PreparedLCP(PreparedProblem[LCP]):
         work, because = (0.0, NOTHING_TO_DO) if is_start else (float(problem.n), "prepared")
         stage, point = StageRecord("lemke", because, int(work > 0.0), work), Measured(z, 0.0, True)
         return Result.of(problem, point, [stage], self._settings, seconds, self._method)
-
-
-def is_plain(values: object, *shape: int) -> bool:
-    """Return whether the values are an array of doubles of this shape."""
-    return type(values) is np.ndarray and values.dtype == DOUBLE and values.shape == shape
 
 
 def copied(values: object, name: str, *shape: int) -> Vector:

@@ -77,7 +77,7 @@ def factorize(
     bandwidth : (int, int), optional
         Numbers of sub- and superdiagonals of a sparse matrix, if known.
     """
-    if not sp.issparse(matrix):
+    if isinstance(matrix, np.ndarray):
         return _dense(matrix, is_symmetric)
     n = matrix.shape[0]
     is_dense = matrix.nnz > DENSE_ABOVE_DENSITY * n * n and n <= 3000

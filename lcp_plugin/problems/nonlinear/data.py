@@ -50,6 +50,7 @@ from ...core import checks
 from ...core.checks import AnyMatrix, BoolVector, Vector, derived_property, read_only
 from ...core.entries import (
     IntVector,
+    all_finite,
     clip,
     largest_in_rows,
     largest_products,
@@ -90,10 +91,11 @@ class Differences:
 
     def __init__(self, pattern: sp.csc_array, groups: NDArray[np.int32]) -> None:
         self.pattern, self.groups = pattern, groups
-        self._columns = np.repeat(np.arange(pattern.shape[1]), np.diff(pattern.indptr))
-        of_entries = groups[self._columns]
+        columns = np.repeat(np.arange(pattern.shape[1]), np.diff(pattern.indptr))
+        of_entries = groups[columns]
         ends = np.cumsum(np.bincount(of_entries))[:-1]
-        self._places = np.split(np.argsort(of_entries, kind="stable"), ends)
+        places = np.split(np.argsort(of_entries, kind="stable"), ends)
+        self._parts = [(at, pattern.indices[at], columns[at]) for at in places]
 
     @classmethod
     def on(cls, pattern: sp.csc_array | None, n: int) -> Differences:
@@ -134,17 +136,17 @@ class Differences:
         If F is not defined on one side of x, the step goes to the other side. Entries that neither side gives are
         NaN.
         """
-        pattern, columns = self.pattern, self._columns
-        step = _steps(x, lower, upper) if step is None else step
-        derivative = np.full(columns.size, np.nan)
-        for k, places in enumerate(self._places):
-            for way in (step, -step):
-                moved = read_only(np.where(self.groups == k, x + way, x))
-                change = F(moved) - value
-                quotients = change[pattern.indices[places]] / (moved - x)[columns[places]]
-                known = derivative[places]
-                derivative[places] = np.where(np.isfinite(known), known, quotients)
-                if np.isfinite(derivative[places]).all():
+        pattern, step = self.pattern, _steps(x, lower, upper) if step is None else step
+        derivative, ends = np.full(pattern.indices.size, np.nan), (x + step, x - step)
+        for k, (places, rows, columns) in enumerate(self._parts):
+            for end in ends:
+                moved = read_only(np.where(self.groups == k, end, x))
+                quotients = (F(moved) - value)[rows] / (moved - x)[columns]
+                if end is ends[1]:
+                    known = derivative[places]
+                    quotients = np.where(np.isfinite(known), known, quotients)
+                derivative[places] = quotients
+                if all_finite(quotients):
                     break
         if derivative.size == math.prod(pattern.shape):
             return derivative.reshape(pattern.shape).T
@@ -339,14 +341,15 @@ class NonlinearProblem(Problem):
 
     def evaluate(self, x: Vector) -> Vector:
         """Return :meth:`value` at a read-only vector, which is not copied; NumPy's warnings are off."""
-        returned = self.F(x)
-        need = f"F(x) must be a real vector of length {x.size} for x of shape ({x.size},)"
-        value = checks.real_array(returned, need)
-        if value.shape != x.shape:
-            raise InvalidProblem(f"{need}, got shape {value.shape}; return one number a row")
+        value: Any = self.F(x)
+        if not checks.is_plain(value, x.size):
+            need = f"F(x) must be a real vector of length {x.size} for x of shape ({x.size},)"
+            value = checks.real_array(value, need)
+            if value.shape != x.shape:
+                raise InvalidProblem(f"{need}, got shape {value.shape}; return one number a row")
         if self.counts is not None:
             self.counts[0] += 1
-            self.counts[2] += not np.logical_and.reduce(np.isfinite(value))
+            self.counts[2] += not all_finite(value)
         return read_only(value.copy())
 
     @np.errstate(all="ignore")
@@ -427,8 +430,8 @@ class NonlinearProblem(Problem):
 
     def offset(self, x: Vector, value: Vector, M: AnyMatrix) -> Vector:
         """Return F(x) − F′(x) x."""
-        q: Vector = value - M @ x
-        if not np.logical_and.reduce(np.isfinite(q)):
+        q: Vector = value - M.dot(x)
+        if not all_finite(q):
             raise UndefinedDerivativeError("F(x) − F′(x) x overflows; start nearer to 0")
         return q
 
@@ -520,6 +523,10 @@ def _newton_step(M: AnyMatrix, w: Vector, at: IntVector) -> tuple[Factor | None,
     return factor, np.zeros(at.size) if factor is None else -factor.solve(w[at])
 
 
+COMPUTED_TOGETHER = (
+    *("M", "absolute", "q", "scale"),
+    *("terms", "steps", "largest_step", "least_residual"),
+)
 REACHES = 4.0 ** np.arange(-25, 1)  # shares of x, from some roundings to x itself
 SAMPLES = 5  # of the rounding error of each F_i
 FAR_STEPS = 4096.0  # at which Newton's step leads back if rounding errors made it
@@ -553,17 +560,20 @@ class Linearization(RowData):
     def __getattr__(self, name: str) -> Any:
         """Return F′(x), dense if it has few rows, or another datum of the linearization; all are computed together.
 
-        M, |M| (`absolute`), q = F(x) − F′(x) x, the scales d_i, T_i (`terms`), and r(x) (`steps`), which is signed.
-        It raises the errors of :meth:`NonlinearProblem.linearize`.
+        M, |M| (`absolute`), q = F(x) − F′(x) x, the scales d_i, T_i (`terms`), r(x) (`steps`), which is signed, its
+        norm (`largest_step`) and that relative to the largest T_i/d_i, a lower bound of the relative residual
+        (`least_residual`). It raises the errors of :meth:`NonlinearProblem.linearize`.
         """
-        if name in ("M", "absolute", "q", "scale", "terms", "steps"):
+        if name in COMPUTED_TOGETHER:
             M = self.problem.slopes(self.x, self.value)
             if self.x.size <= SMALL_SPARSE and not isinstance(M, np.ndarray):
                 M = M.toarray()
             q, self.absolute = self.problem.offset(self.x, self.value, M), abs(M)
-            self.M, self.q, self.terms = M, q, self.absolute @ np.abs(self.x) + np.abs(q)
+            self.M, self.q, self.terms = M, q, self.absolute.dot(np.abs(self.x)) + np.abs(q)
             self.scale = residual_scales(M.diagonal(), largest_in_rows(M))
             self.steps = self.steps_at(self)
+            self.largest_step = max_norm(self.steps)
+            self.least_residual = self.largest_step / max(max_norm(self.terms / self.scale), 1e-300)
         return object.__getattribute__(self, name)  # a property's own error, if it has raised one
 
     def steps_at(self, there: Linearization) -> Vector:
@@ -676,7 +686,7 @@ class Linearization(RowData):
     @cached_property
     def is_defined(self) -> bool:
         """True if F and its derivative are finite at x."""
-        if not np.logical_and.reduce(np.isfinite(self.value)):
+        if not all_finite(self.value):
             return False
         try:
             self.q  # noqa: B018
@@ -705,22 +715,17 @@ class Linearization(RowData):
         if self._measured is None:
             goal, absolute = settings.goal, settings.absolute_tolerance
             bound = bound_residual(self, self.x, goal, self.residual_at_origin)
-            is_sure = bound < math.inf and (max_norm(self.steps) < absolute or not self.moves.any())
+            is_sure = bound < math.inf and (self.largest_step < absolute or not self.moves.any())
             full = None if is_sure else self.measure_at(self.x, self.value, goal, absolute)
             self._measured = full or Measured(self.x, bound, passes=True)
         return self._measured
-
-    @cached_property
-    def least_residual(self) -> float:
-        """A lower bound of the relative residual that costs little: relative to the largest T_i/d_i."""
-        return max_norm(self.steps) / max(max_norm(self.terms / self.scale), 1e-300)
 
     def is_small(self, settings: Settings) -> bool:
         """Return whether the relative residual is at most the tolerance."""
         if self._is_small is None:
             goal, absolute = settings.goal, settings.absolute_tolerance
             is_open = self.least_residual <= max(goal, SMALLEST_TOLERANCE)
-            is_open = is_open or (absolute > 0.0 and max_norm(self.steps) <= absolute)
+            is_open = is_open or self.largest_step <= absolute
             self._is_small = is_open and bool(self.measure_by(settings).residual <= goal)
         return self._is_small
 

@@ -20,7 +20,7 @@ import numpy as np
 from ...core import deadline
 from ...core.algorithm import Algorithm, Step
 from ...core.checks import Vector
-from ...core.entries import max_norm
+from ...core.entries import all_finite, max_norm
 from ...core.kernels.floats import DATA_ROUNDING, NEGLIGIBLE, NEGLIGIBLE_DIAGONAL
 from ...core.settings import Settings
 from ...core.tuning import CHEAP_UP_TO
@@ -170,7 +170,7 @@ class JosephyNewton(Algorithm):
     def _next_point(self) -> Linearization | None:
         """Return the next point; None if no step helps, the time is over, or rounding explains the residual."""
         current = self.current
-        if not np.count_nonzero(current.steps):
+        if current.largest_step == 0.0:
             return None
         if self.is_flat():  # a root without slope
             sizes = np.abs(current.x)
@@ -207,7 +207,7 @@ class JosephyNewton(Algorithm):
             if tried == TRIALS or (x == current.x).all():
                 break
             point = self._at(x)
-            if not np.logical_and.reduce(np.isfinite(point.value)):
+            if not all_finite(point.value):
                 continue
             tried += 1
             # ∞ gains nothing on ∞
@@ -234,7 +234,7 @@ class JosephyNewton(Algorithm):
 
     def _merit(self, point: Linearization) -> float:
         """Return ‖Φ‖₂ with the row scales of the current linearization; ∞ if F is undefined."""
-        if not np.isfinite(point.value).all():
+        if not all_finite(point.value):
             return math.inf
         return float(np.linalg.norm(self.weights * self.phi(point)))
 

@@ -145,7 +145,7 @@ def small_step(M: Vector, w: Vector, lower: Vector, upper: Vector, scale: Vector
     most = 0.5 * max_norm(clip(step, -upper, -lower))
     side = np.where(step >= -lower, LOW, FREE + (step <= -upper))
     d = active_point(M, w, lower, upper, side)
-    if max_norm(clip((M @ d + w) / scale, d - upper, d - lower)) <= NEGLIGIBLE * most:
+    if max_norm(clip((M.dot(d) + w) / scale, d - upper, d - lower)) <= NEGLIGIBLE * most:
         return d  # within the bounds up to this residual
     best, least, zero = None, most, np.zeros(w.size)
     data = RowData(M, M, w, lower, upper, scale, None, zero)

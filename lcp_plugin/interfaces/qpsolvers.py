@@ -94,7 +94,7 @@ def solve_problem(
         built = clock.read()
         start = None if initvals is None else vector_option(initvals, "initvals", program.n)
         # A start would cost steps in a program with rows
-        guess = None if program.constraints.rows else start
+        guess = None if program.h.size + program.b.size else start
         result = solve_program(program, z0=guess, verbose=verbose, **options)
     except (errors.InvalidOption, errors.UnknownAlgorithm) as error:
         raise ParamError(str(error)) from error

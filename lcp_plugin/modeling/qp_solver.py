@@ -235,7 +235,7 @@ class CompiledProblem:
         entries = {v.id: Entries.of(v, columns, chain, inverse) for v in problem.variables()}
         program = quadratic_program(data, {}).replaced(names=_names_of(problem, data, entries))
         if is_folded:
-            program = program.folded.reduced.replaced(constant=program.constant)
+            program = program.reduced.replaced(constant=program.constant)
         return cls(program, entries)
 
     def values(self, x: Vector) -> dict[int, Any]:

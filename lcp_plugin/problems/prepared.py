@@ -201,9 +201,9 @@ class PreparedProgram(PreparedProblem[QuadraticProgram]):
         clock, (layout, vectors, is_compiled) = Clock(), self._arrays
         if start is not None:
             checked_start_of_program(self.problem, start)
-        if all(is_plain(value, *vectors[name].shape) for name, value in data.items()):
-            copies = {name: value.copy() for name, value in data.items()}
-        else:  # the constructor converts and checks other data
+        items = data.items()
+        copies = {k: one.copy() for k, one in items if is_plain(one, *vectors[k].shape)}
+        if len(copies) < len(data):  # the constructor converts and checks other data
             changed = self.problem.with_vectors(**data)
             copies = {name: getattr(changed, name).copy() for name in data}
         c, h, b, lower, upper = every = [*(vectors | copies).values()]

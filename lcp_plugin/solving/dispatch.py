@@ -67,11 +67,11 @@ def options_of(name: str) -> Mapping[str, Any]:
 
 
 def parse_call(
-    algorithm: str | Algorithm, arguments: dict[str, Any]
+    algorithm: str | Algorithm, arguments: dict[str, Any], plain: Settings = DEFAULT
 ) -> tuple[Algorithm | None, Settings]:
-    """Return the method (None for auto) and the settings of a call; `arguments` may contain z0 and callback."""
+    """Return the method (None for auto) and the settings of a call, `plain` without arguments, which may be z0."""
     if not arguments:
-        return method_of(algorithm, arguments), DEFAULT
+        return method_of(algorithm, arguments), plain
     items = arguments.items()
     of_solve = {name: value for name, value in items if name in OF_SOLVE and name not in BESIDE}
     settings = Settings(**of_solve)

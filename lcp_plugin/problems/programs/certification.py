@@ -457,7 +457,7 @@ class ProgramProofs:
         Interior-point methods end at 1e-9 for a bound of 0, others at −1e-17. No gradient, no equality, and no row
         with a multiplier may change by more than the tolerance times its terms.
         """
-        program, solution = self.program.folded.reduced, self.own_solution
+        program, solution = self.program.reduced, self.own_solution
         if solution is None:
             return x
         terms, m = program.matrices.terms, program.h.size
@@ -479,7 +479,7 @@ class ProgramProofs:
 
     def with_zeros(self, x: Vector, tolerance: float) -> Vector:
         """Return x with 0 for unknowns at rounding level of the largest of their component, as in the criterion."""
-        return with_zeros(self.program.folded.reduced.judged, x)
+        return with_zeros(self.program.reduced.judged, x)
 
     def prove_point(self, x: Vector, multipliers: Vector | None, tolerance: float) -> Certification:
         """Return the verdict on a point and its multipliers of all constraints."""
@@ -550,7 +550,7 @@ class Violation:
     @classmethod
     def of(cls, program: QuadraticProgram, x: Vector, tolerance: float) -> Violation:
         """Return the violation at x; constraints hold as in the criterion, relative to their terms."""
-        judged = program.folded.reduced.judged
+        judged = program.reduced.judged
         errors = PrimalDualPoint(judged, x, np.zeros(judged.d.size), is_exact=True).row_errors()
         largest = float(np.maximum(program.constraints.excess(x), 0.0).max(initial=0.0))
         is_missed = bool((errors > tolerance * OUTWARD**2).any())

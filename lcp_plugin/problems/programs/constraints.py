@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from functools import cached_property
-from itertools import pairwise
+from itertools import accumulate, pairwise
 from typing import Any
 
 import numpy as np
@@ -75,7 +75,7 @@ class Constraints:
 
     def split(self, values: Vector) -> list[Any]:
         """Return the parts of values per row: of G, of A, of the lower and of the upper bounds."""
-        ends = np.cumsum([0, *self.matrices.sizes]).tolist()
+        ends = accumulate(self.matrices.sizes, initial=0)
         return [values[begin:end] for begin, end in pairwise(ends)]
 
     @cached_property

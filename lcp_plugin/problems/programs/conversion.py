@@ -203,7 +203,7 @@ class QPOrigin:
     @property
     def reduced(self) -> QuadraticProgram:
         """The program without rows of one variable."""
-        return self.program.folded.reduced
+        return self.program.reduced
 
     @property
     def rows(self) -> int:

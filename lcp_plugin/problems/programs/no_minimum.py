@@ -422,7 +422,7 @@ def searched_proof(program: QuadraticProgram, y: Vector) -> QPInfeasibility:
     ):
         return proof
     nonzero = {i: Fraction(value) for i, value in enumerate(y.tolist()) if value}
-    found: Any = _unfolded(program.folded, with_bounds(program.folded.reduced, nonzero))
+    found: Any = _unfolded(program.folded, with_bounds(program.reduced, nonzero))
     return found
 
 
@@ -482,7 +482,7 @@ def shown_proof(program: QuadraticProgram) -> tuple[Vector, QPInfeasibility] | N
 
     The proof is searched for when it is read.
     """
-    reduced = program.folded.reduced
+    reduced = program.reduced
     is_suited = (
         reduced.matrices.is_small and reduced.matrices.terms.is_dense and is_installed(DAQP.name)
     )

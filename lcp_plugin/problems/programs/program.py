@@ -219,6 +219,18 @@ class QuadraticProgram(Problem):
             program = self.replaced(ProgramMatrices(P, self.G, self.A))
         return FoldedRows.of(program)
 
+    @property
+    def reduced(self) -> QuadraticProgram:
+        """The reduced program; this one, without a cycle of references to `folded`, if nothing changes."""
+        P, is_same = self.matrices.semidefinite_P, not self.has_short_rows
+        return self if is_same and (P is None or P is self.P) else self.folded.reduced
+
+    @cached_property
+    def has_short_rows(self) -> bool:
+        """True if a row has fewer than two unknowns, or no limit."""
+        is_long, is_limited = self.matrices.terms.counts > 1, np.isfinite(self.judged.d)
+        return not np.logical_and.reduce(is_long & is_limited)
+
     @cached_property
     def known(self) -> dict[str, Any]:
         """Proofs that were searched for; see :func:`lcp_plugin.problems.programs.no_minimum.known_proof`."""
@@ -409,7 +421,7 @@ def refuse_nonconvex(program: QuadraticProgram) -> None:
     """
     if program.matrices.is_nearly_semidefinite:
         return
-    P, (lower, upper) = program.P, (program.folded.reduced.lower, program.folded.reduced.upper)
+    P, (lower, upper) = program.P, (program.reduced.lower, program.reduced.upper)
     free = np.flatnonzero(lower < upper)
     if free.size < program.n:
         none = np.zeros((0, free.size))
@@ -478,7 +490,7 @@ class FoldedRows:
     def of(cls, program: QuadraticProgram) -> FoldedRows:
         """Return the reduction of a program; `QuadraticProgram.folded` keeps it."""
         matrices, right = program.matrices, program.judged.d
-        if (matrices.terms.counts > 1).all() and np.isfinite(right).all():
+        if not program.has_short_rows:
             none = np.full(program.n, NO_ROW)
             return cls(program, program, np.arange(right.size), none, none, np.ones(right.size))
         is_equality = matrices.is_equality[: right.size]

@@ -87,19 +87,21 @@ class QPSolution(MadeOnAccess):
         InvalidProblem
             If a multiplier of the program is beyond the range of doubles.
         """
-        folded = program.folded
-        reduced, m = folded.reduced, folded.reduced.h.size
-        y = y.copy()
+        reduced, y = program.reduced, y.copy()
+        m = reduced.h.size
         np.maximum(y[:m], 0.0, out=y[:m])
         P, C = reduced.matrices.stacked
         slopes = P @ x + reduced.c
         y = reduced.matrices.terms.needed_multipliers(slopes, y)
         of_bounds = bound_multipliers(reduced, slopes + C.T @ y)
-        every = folded.multipliers(np.concatenate([y, *of_bounds]))
-        for k in np.flatnonzero(np.isinf(every))[:1].tolist():
+        every = np.concatenate([y, *of_bounds])
+        if reduced is not program:
+            every = program.folded.multipliers(every)
+        if (is_infinite := np.isinf(every)).any():
+            name = program.name(int(is_infinite.argmax()))
             raise InvalidProblem(
-                f"the multiplier of {program.name(k)} is beyond the range of doubles, ±1.8e308; give that constraint, "
-                "limits and the objective in units in which their largest coefficients are near 1"
+                f"the multiplier of {name} is beyond the range of doubles, ±1.8e308; give that constraint, limits and "
+                "the objective in units in which their largest coefficients are near 1"
             )
         return cls.of_rows(program, x, every)
 
@@ -217,7 +219,7 @@ class QPSolution(MadeOnAccess):
     @np.errstate(all="ignore")
     def errors_for(self, tolerance: float) -> KKTErrors:
         """Return both measures, or bounds of them if these meet the tolerance already."""
-        return KKTErrors.of(self.program.folded.reduced.judged, self.x, self.reduced_y, tolerance)
+        return KKTErrors.of(self.program.reduced.judged, self.x, self.reduced_y, tolerance)
 
     @property
     def reduced_y(self) -> Vector:

@@ -49,6 +49,7 @@ from .result import ADVICE, QuadraticProgramResult
 from .solution import QPSolution
 
 CERTAIN_ROWS = 1e-10  # a larger violation starts a search for a proof of infeasibility
+PROGRAM_DEFAULT = Settings(tolerance=PROGRAM_TOLERANCE)  # of a call without options
 FAR = 1e6  # times the largest limit: an x out there may be on its way to infinity
 
 
@@ -137,15 +138,17 @@ def parsed(
     if isinstance(algorithm, InteriorPoint) or algorithm == InteriorPoint.name:
         algorithm = "piqp"
     engine = _engine(algorithm, options)
-    call = {**({} if engine else options), "tolerance": tolerance, **of_solve}
-    settings = parse_call("auto" if engine else algorithm, call)[1]
+    call = {**({} if engine else options), **of_solve}
+    if call or tolerance is not PROGRAM_TOLERANCE:
+        call["tolerance"] = tolerance
+    settings = parse_call("auto" if engine else algorithm, call, PROGRAM_DEFAULT)[1]
     return algorithm, engine, settings, options, of_solve
 
 
 def checked_start_of_program(program: QuadraticProgram, z0: object) -> Vector:
     """Return a start: x, or x with the multipliers of the rows that are not bounds; raise InvalidOption for others."""
     start, n = vector_option(z0, "z0", None), program.n
-    if start.size != n and start.size != (size := n + program.folded.reduced.constraints.rows):
+    if start.size != n and start.size != (size := n + program.reduced.constraints.rows):
         also = f", or z of an earlier result, of length {size}" if size > n else ""
         raise InvalidOption(f"z0 must be x, of length {n}{also}, got length {start.size}")
     return start
@@ -161,7 +164,7 @@ def first_point(
     matrices = program.matrices
     if not matrices.is_small or sum(matrices.sizes[:3]) > LOOP_UP_TO:  # a run costs less than daqp
         return None, None, None
-    reduced = program.folded.reduced
+    reduced = program.reduced
     if (layout := reduced.matrices.of_daqp) is None:
         return None, None, None
     c, judged, lower, upper = reduced.c, reduced.judged, reduced.lower, reduced.upper
@@ -293,7 +296,7 @@ class ProgramRun(Run):
 
     def all_stages(self) -> Iterator[Stage]:
         """Yield the stages of auto; a program with bounds only is a complementarity problem of n unknowns."""
-        reduced = self.program.folded.reduced
+        reduced = self.program.reduced
         rows, matrices = reduced.h.size + reduced.b.size, reduced.matrices
         if not rows and not matrices.has_curvature:
             solution = QPSolution.from_reduced(self.program, *nearest(self.program))

@@ -115,7 +115,7 @@ def nonlinear_points(shape: str, case: Case) -> Points:
     linear = LCP(case.M, case.q, lower=case.lower)
     problem, z_of, y_of = curved(linear, shape, float(np.abs(case.q).max()))
     for x0 in (y_of(case.wrong), None):
-        result = solve(problem, x0=x0, max_seconds=5.0)
+        result = solve(problem, x0=x0, max_seconds=1.0)
         yield z_of(result.z), result.is_solved
 
 

@@ -190,6 +190,11 @@ class ProgramTerms:
         return np.where(sizes > 0.0, sizes, 1.0)
 
     @cached_property
+    def squares_of_columns(self) -> Vector:
+        """Sum of squares of each column of a dense C whose rows are divided by their sizes."""
+        return np.square(self.C / self.row_sizes[:, np.newaxis]).sum(axis=0)
+
+    @cached_property
     def components(self) -> ProgramComponents:
         """Connected components of the graph of P, G and A."""
         P, C = self.P, self.C

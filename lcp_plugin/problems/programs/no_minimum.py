@@ -502,8 +502,7 @@ def multipliers_of_soft_rows(program: JudgedProgram) -> list[Vector] | None:
     (terms, c, d, lower, upper), n = program, program.c.size
     C, of_C, soft = terms.C, terms.both[1][n:], kinds_of_rows(n, terms.m, d.size - terms.m)
     soft[n:] += SOFT
-    relative = of_C / terms.row_sizes[:, np.newaxis]
-    units = np.diag(or_one((relative * relative).sum(axis=0)))
+    units = np.diag(or_one(terms.squares_of_columns))
     ends, options = ends_of_rows(d, terms.m, lower, upper), DAQP.defaults | {"rho_soft": SOFTNESS}
     x, signed = call_daqp(units, np.array(C, order="C"), soft, 0.0 * c, *ends, options)[:2]
     y, sizes = signed[n:], np.abs(signed[n:]) * terms.row_sizes

@@ -439,7 +439,7 @@ def minimize_on_face(point: FacePoint, A: Vector, b: Vector) -> FacePoint:
         for released in (pulled, pulled & (pull == pull.max(initial=0.0))):
             free = np.flatnonzero(is_filled & (point.is_free | released))
             face = free.tobytes() + orthant.linear[free].tobytes()
-            if face == before or not free.size:
+            if face == before or not free.size or deadline.is_over():
                 return point
             after = _step_to_minimum(point, free, A, b)
             # A step may cost more, by rounding

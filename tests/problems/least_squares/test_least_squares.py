@@ -17,7 +17,9 @@ from scipy.optimize import lsq_linear, nnls
 from tools.refusals import assert_refused, refusals
 
 from lcp_plugin import BoundedLeastSquares, InvalidProblem, NotConverged, Status, solve
+from lcp_plugin.core import deadline
 from lcp_plugin.problems.least_squares.certificate import Optimality
+from lcp_plugin.problems.least_squares.engines import FacePoint, minimize_on_face
 
 INF = np.inf
 
@@ -212,6 +214,15 @@ def test_a_clock_is_kept_by_the_judge_as_well(lower):
     assert result.status is Status.MAX_SECONDS
     assert result.optimality == 1.0
     np.testing.assert_allclose(result.cost, 0.5 * np.sum(np.square(A @ result.x - b)))
+
+
+def test_no_step_on_a_face_begins_after_the_limit():
+    """Each is a factorization: a run at its limit took up to 30 of them."""
+    scaled = BoundedLeastSquares(np.eye(3) + 0.5, [1.0, 2.0, 3.0]).scaled
+    rows, start = scaled.rows(is_dense=True), FacePoint(scaled, np.zeros(3))
+    with deadline.limit(0.0):
+        assert not minimize_on_face(start, *rows).x.any()
+    assert minimize_on_face(start, *rows).x.any()
 
 
 # --- the gap against exact arithmetic -----------------------------------------------------------------------

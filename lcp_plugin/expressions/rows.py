@@ -23,7 +23,7 @@ import numpy as np
 import scipy.sparse as sp
 from numpy.typing import NDArray
 
-from ..core.checks import Array, Indices, Vector
+from ..core.checks import Array, Indices, Vector, assemble_csr
 from ..core.entries import row_numbers
 from . import functions
 from .functions import Function
@@ -367,6 +367,16 @@ class Level:
                 whole[span] = slope
         return derivatives
 
+    def jacobian(self, arguments: list[Vector], count: int) -> sp.csr_array:
+        """Return the derivative by the first quantities, of which the functions take no other, as CSR."""
+        parts = []
+        for one, slope in zip(self.arguments, self.derivatives(arguments), strict=True):
+            if slope.size:  # 0 times an infinite slope is NaN
+                A, shape = one.matrix, (slope.size, count)
+                entries = A.data * np.repeat(slope, np.diff(A.indptr))
+                parts.append((assemble_csr(entries, A.indices, A.indptr, shape), 0, 0))
+        return parts[0][0] if len(parts) == 1 else _placed(parts, (self.size, count))
+
 
 class Program:
     """A map from n unknowns to m results, with its derivatives.
@@ -387,6 +397,7 @@ class Program:
         self.n, self.levels, self.result = n, list(levels), result
         ends = np.cumsum([n, *(level.size for level in levels)]).tolist()
         self._spans = [slice(*pair) for pair in pairwise(ends)]
+        self._identity = sp.eye_array(n, format="csr")
 
     @classmethod
     def of(
@@ -430,14 +441,10 @@ class Program:
     def jacobian(self, x: Vector) -> sp.csr_array:
         """Return F′(x) as CSR, shape (m, n)."""
         with np.errstate(all="ignore"):
-            known = sp.eye_array(self.n, format="csr")  # of all quantities so far
+            known = self._identity  # of all quantities so far
             for level, values in zip(self.levels, self._swept(x)[1], strict=True):
-                slopes = zip(level.arguments, level.derivatives(values), strict=True)
-                # 0 times an infinite slope is NaN
-                parts = [(_changed(one.matrix, np.multiply, slope), 0, 0) for one, slope in slopes]
-                level_jacobian = _placed(parts, (level.size, known.shape[0]))
-                known = sp.vstack([known, level_jacobian @ known], format="csr")
-            return sp.csr_array(self.result.matrix @ known)
+                known = sp.vstack([known, level.jacobian(values, known.shape[0]) @ known], "csr")
+            return self.result.matrix @ known
 
     def gradient(self, x: Vector, by_result: Vector) -> Vector:
         """Return F′(x)ᵀ by_result without the Jacobian."""

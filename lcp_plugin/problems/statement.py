@@ -360,7 +360,8 @@ class SquareModel:
         unknowns, matrices = self.elimination.expand(z), list[Any](self.stored)
         order, largest = np.arange(values.size), np.abs(unknowns).max(initial=0.0)
         if isinstance(self.problem, NonlinearProblem):  # e.g. exp(x) − 1 has constants of size 1
-            matrices, order, largest = [self.problem.linearize(z).csr], numbers, max(largest, 1.0)
+            slopes = self.problem.slopes(z, self.problem.value(z))
+            matrices, order, largest = [slopes], numbers, max(largest, 1.0)
         terms = np.abs(values) + np.abs(expected)
         sizes, at = [abs(matrix) for matrix in matrices], np.abs(unknowns)
         terms[order] += np.concatenate([matrix @ at for matrix in sizes])

@@ -473,16 +473,12 @@ def ratio(errors: Vector, sizes: Vector) -> Vector:
     return np.where(errors > 0.0, errors / np.maximum(sizes, LEAST_PRICE), errors)
 
 
-def sharp_errors(
-    program: JudgedProgram, x: Vector, y: Vector, *, is_compiled: bool = False
-) -> KKTErrors:
+def sharp_errors(program: JudgedProgram, x: Vector, y: Vector) -> KKTErrors:
     """Return upper bounds of the two measures of a point of a dense program, by plain sums; ∞ where costs vanish."""
     (terms, *_), parts = program, program.terms.components
-    data, pieces = (*terms.both, terms.m, *program[1:], x, y), (parts.of_unknown, parts.of_row)
-    if is_compiled:
-        return KKTErrors(*compiled_measures(*data, *pieces, parts.number))
+    sums = sharp_sums(*terms.both, terms.m, *program[1:], x, y)  # type: ignore[no-untyped-call]
     # Python reads lists faster
-    lists = [each.tolist() for each in (*sharp_sums(*data), *pieces)]  # type: ignore[no-untyped-call]
+    lists = [each.tolist() for each in (*sums, parts.of_unknown, parts.of_row)]
     lists.append([[0.0] * 5 for _ in range(parts.number)])
     return KKTErrors(*sharp_measures(terms.m, *lists))  # type: ignore[no-untyped-call]
 
@@ -540,13 +536,6 @@ def sharp_measures(m, values, sizes, slopes, weights, c, d, point, x, of_y, part
 
 
 COMPILED_SUMS, COMPILED_MEASURES = helper(sharp_sums), helper(sharp_measures)
-
-
-@kernel
-def compiled_measures(both, of_both, m, c, d, lower, upper, x, y, part, of_row, count):  # type: ignore[no-untyped-def]
-    """Return both measures of a point of a program of `count` components."""
-    sums = COMPILED_SUMS(both, of_both, m, c, d, lower, upper, x, y)
-    return COMPILED_MEASURES(m, *sums, part, of_row, np.zeros((count, 5)))
 
 
 @kernel

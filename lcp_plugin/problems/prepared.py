@@ -1,6 +1,6 @@
 """`prepare`: a solver of many problems that differ in some data, as in the loop of a controller.
 
-A small dense LCP or program takes a short way: a kernel or an external solver, and one sufficient, compiled test, which
+A small dense LCP or program takes a short way: a kernel or an external solver, and one sufficient test, which
 implies the criterion. If the test does not decide, or if options watch or limit the run, the solver of `solve` runs.
 """
 
@@ -189,23 +189,22 @@ class PreparedProgram(PreparedProblem[QuadraticProgram]):
         is_bare = options.keys() <= DEFAULTS.keys() and algorithm in ("auto", "daqp")
         is_dense = (base.terms.counts > 1).all() and base.terms.is_dense
         if has_time and is_bare and is_dense and base.of_daqp and not settings.is_watched:
-            # Writable, as the data of each step: for other arrays a kernel is compiled again
-            vectors = {name: getattr(problem, name).copy() for name in problem.vector_names}
-            self._arrays = base.of_daqp, vectors, has_numba()
+            vectors = {name: getattr(problem, name) for name in problem.vector_names}
+            self._arrays = base.of_daqp, vectors
 
     @np.errstate(all="ignore")  # of a point that is not finite
     def _solve_quickly(self, start: Any, **data: Any) -> Any:
         """Return daqp's point if plain sums accept it, and nothing hints at a program without a minimum."""
         if self._arrays is None or not data.keys().isdisjoint(self.problem.matrix_names):
             return None
-        clock, (layout, vectors, is_compiled) = Clock(), self._arrays
+        clock, (layout, vectors) = Clock(), self._arrays
         if start is not None:
             checked_start_of_program(self.problem, start)
         items = data.items()
         copies = {k: one.copy() for k, one in items if is_plain(one, *vectors[k].shape)}
         if len(copies) < len(data):  # the constructor converts and checks other data
             changed = self.problem.with_vectors(**data)
-            copies = {name: getattr(changed, name).copy() for name in data}
+            copies = {name: getattr(changed, name) for name in data}
         c, h, b, lower, upper = every = [*(vectors | copies).values()]
         d, m = np.concatenate((h, b)) if b.size else h, h.size
         # NaN in other data does not pass the test; the constructor checks bounds that cross
@@ -219,8 +218,7 @@ class PreparedProgram(PreparedProblem[QuadraticProgram]):
             return infeasible_result(changed, end, self._settings, clock.read())
         x, y = clip(end.x, lower, upper), end.y
         judged = JudgedProgram(self.problem.matrices.terms, c, d, lower, upper)
-        errors = sharp_errors(judged, x, y, is_compiled=is_compiled)
-        most = 0.5 * self._settings.tolerance
+        errors, most = sharp_errors(judged, x, y), 0.5 * self._settings.tolerance
         if not errors.gap <= most:  # multipliers of active bounds count; then by the rule of solve
             errors, x = KKTErrors.with_point(judged, x, y, self._settings.tolerance)
             most = min(most, NO_POLISH * (x.size + y.size))

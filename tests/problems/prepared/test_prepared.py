@@ -26,7 +26,7 @@ from lcp_plugin import (
     solve,
     solve_batch,
 )
-from lcp_plugin.judges.program import JudgedProgram, KKTErrors, PrimalDualPoint, sharp_errors
+from lcp_plugin.judges.program import KKTErrors, PrimalDualPoint, sharp_errors
 
 INF = np.inf
 LOOP = LCP([[2.0, -1.0], [-1.0, 2.0]], [-1.0, 0.0])
@@ -174,19 +174,17 @@ def test_prepared_contacts_between_bodies_have_the_status_of_solve(family, draws
 
 
 def test_a_point_that_the_quick_test_of_programs_accepts_passes_the_criterion(draws):
-    """Points near solutions: two bounds within the tolerances imply the criterion by plain sums, compiled or not."""
+    """Points near solutions: two bounds within the tolerances imply the criterion by plain sums."""
     rng, accepted, drawn = np.random.default_rng(1), 0, draws(600, 20)
     for _ in drawn:
         one = QuadraticProgram(*random_program(rng))
         judged, solved = one.judged, solve(one)
-        writable = JudgedProgram(judged.terms, *map(np.array, judged[1:]))
         if not solved.is_solved:
             continue
         y = np.append(solved.duals["inequality"], solved.duals["equality"])
         for size in (0.0, 1e-14, 1e-11, 1e-9, 1e-7):
             near = [each * (1.0 + size * rng.normal(size=each.size)) for each in (solved.x, y)]
             errors = sharp_errors(judged, *near)
-            assert sharp_errors(writable, *near, is_compiled=True) == errors
             for tolerance in (1e-6, 1e-9, 1e-12):
                 if errors.meet(tolerance):
                     accepted += 1

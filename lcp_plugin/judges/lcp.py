@@ -267,7 +267,7 @@ class RowData:
         A NaN stays.
         """
         if self.labels is None:
-            return values.max(-1, keepdims=True, initial=0.0)
+            return np.maximum.reduce(values, axis=-1, keepdims=True, initial=0.0)
         maxima = np.zeros(self.labels.size)
         np.maximum.at(maxima, self.labels, values)
         return maxima[self.labels]

@@ -809,8 +809,8 @@ def _flat_unknowns(rows: Linearization, free: BoolVector) -> BoolVector:
 def _single_steps(rows: Linearization, free: BoolVector) -> Vector:
     """Return the change of each x_j that minimizes Σ (F_i/d_i)² of the free rows if no other unknown changes."""
     weights = np.where(free, 1.0, 0.0) / rows.scale
-    products, squares = rows.M.T @ (weights**2 * rows.value), (rows.absolute**2).T @ weights**2
-    steps = -products / squares
+    squares = weights * weights
+    steps = -rows.M.T.dot(squares * rows.value) / (rows.absolute**2).T.dot(squares)
     return np.asarray(np.where(np.isfinite(steps), steps, 0.0))
 
 

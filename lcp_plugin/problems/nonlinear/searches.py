@@ -8,7 +8,6 @@ both begin again at other points of the bounds: the nearest points to 1, 0, 10 a
 
 from __future__ import annotations
 
-import math
 from collections import deque
 from collections.abc import Iterator
 from functools import cached_property
@@ -132,8 +131,8 @@ class JosephyNewton(Algorithm):
         origin = point.at_origin
         if self.first is origin:  # the way has no length
             return point
-        left, way = (point.largest(np.abs(x - origin.x)) for x in (point.x, self.first.x))
-        is_near = left <= 1e-4 * way
+        left, way = np.abs(point.x - origin.x), np.abs(self.first.x - origin.x)
+        is_near = point.largest(left) <= 1e-4 * point.largest(way)
         if not np.logical_or.reduce(is_near):
             return point
         errors = np.abs(point.residual(origin.x, origin.value))
@@ -172,7 +171,8 @@ class JosephyNewton(Algorithm):
         current = self.current
         if current.largest_step == 0.0:
             return None
-        if self.is_flat():  # a root without slope
+        if self.sizes_of(current)[0] <= NEGLIGIBLE * self.sizes_of(self.first)[0]:
+            # a root without slope
             sizes = np.abs(current.x)
             is_zero = sizes <= NEGLIGIBLE_DIAGONAL * sizes.max()
             point = self._at(np.where(is_zero, current.origin, current.x))
@@ -186,10 +186,6 @@ class JosephyNewton(Algorithm):
             if is_last or (target.name == "Newton" and self.is_at_floor()):
                 return better
         return None
-
-    def is_flat(self) -> bool:
-        """Return whether the residual is negligible next to the residual of the start."""
-        return self.sizes_of(self.current)[0] <= NEGLIGIBLE * self.sizes_of(self.first)[0]
 
     def full_step(self, target: Aim) -> Linearization | None:
         """Return the target if its residual is less than ¾ of the current residual, in the current scale."""
@@ -233,9 +229,7 @@ class JosephyNewton(Algorithm):
     # --- what is measured ----------------------------------------------------------------------------------
 
     def _merit(self, point: Linearization) -> float:
-        """Return ‖Φ‖₂ with the row scales of the current linearization; ∞ if F is undefined."""
-        if not all_finite(point.value):
-            return math.inf
+        """Return ‖Φ‖₂ with the row scales of the current linearization."""
         return float(np.linalg.norm(self.weights * self.phi(point)))
 
     def phi(self, point: Linearization) -> Vector:

@@ -326,8 +326,6 @@ def jacobian_warning(point: Linearization) -> str:
     """
     x, M, problem, value = point.x, point.M, point.problem, point.value
     shares, signs = _drawn(x.size)
-    is_single = (value == value.astype(np.float32)).all()  # the digits of F
-    rounding = np.abs(value) * (2.0**-23 if is_single else 2.0**-52)
     wrong: Any = np.inf
     found, sizes = list[Any](), np.abs(x)
     # The unit of x_j is 1, then |x_j|
@@ -338,7 +336,12 @@ def jacobian_warning(point: Linearization) -> str:
         slope, terms = M @ direction, point.absolute @ size
         quotient = (problem.evaluate(read_only(x + step * direction)) - value) / step
         found.append((slope, quotient))
-        error = np.abs(quotient - slope) / (terms + np.abs(quotient) + rounding / step)
+        apart, size = np.abs(quotient - slope), terms + np.abs(quotient)
+        if not np.count_nonzero(apart > 0.1 * size):  # NaN is no deviation
+            return ""
+        is_single = (value == value.astype(np.float32)).all()  # the digits of F
+        rounding = np.abs(value) * (2.0**-23 if is_single else 2.0**-52)
+        error = apart / (size + rounding / step)
         wrong = np.minimum(wrong, np.where(np.isfinite(error), error, 0.0))
         if not (wrong > 0.1).any():
             return ""

@@ -119,8 +119,10 @@ def lcp_step(
     if linear == "auto" and is_dense(point):
         if shift not in point.lcp_steps:  # each search begins at the same start
             M, w, lower, upper = step_data(point, shift)
-            step = small_step(M, w, lower, upper, (1.0 + shift) * point.scale)
-            point.lcp_steps[shift] = step
+            scale, size = (1.0 + shift) * point.scale, point.largest_step
+            if shift:
+                size = max_norm(clip(w / scale, -upper, -lower))
+            point.lcp_steps[shift] = small_step(M, w, lower, upper, scale, 0.5 * size)
         return point.lcp_steps[shift]
     problem = step_problem(point, shift)
     # A linearization needs no smaller residual than a tenth of the tolerance
@@ -136,13 +138,14 @@ def lcp_step(
     return result.z if result.is_solved or result.residual <= 0.5 else None
 
 
-def small_step(M: Vector, w: Vector, lower: Vector, upper: Vector, scale: Vector) -> Vector | None:
-    """Return d with lower ≤ d ≤ upper complementary to M d + w, to half of the residual of 0; None if the search fails.
+def small_step(
+    M: Vector, w: Vector, lower: Vector, upper: Vector, scale: Vector, most: float
+) -> Vector | None:
+    """Return d with lower ≤ d ≤ upper complementary to M d + w, with a residual of at most `most`; None without one.
 
     The active set of 0 is tried first; d is returned at once if only rounding errors are left.
     """
     step = w / scale
-    most = 0.5 * max_norm(clip(step, -upper, -lower))
     side = np.where(step >= -lower, LOW, FREE + (step <= -upper))
     d = active_point(M, w, lower, upper, side)
     if max_norm(clip((M.dot(d) + w) / scale, d - upper, d - lower)) <= NEGLIGIBLE * most:

@@ -86,6 +86,7 @@ def test_a_nonlinear_run_is_printed_by_its_newton_steps(capsys):
     assert re.search(r"Newton, length 1; worst (coal|gas); F \d+, F′ \d+$", lines[2])
     assert lines[-1].endswith(f"F {F}, F′ {slopes}")
     assert "as measured on F" in end
+    assert solve(NonlinearProblem(lambda x: x), x0=[], verbose=True).is_solved  # no worst row
 
 
 def test_a_terminal_without_unicode_ends_no_run(monkeypatch):

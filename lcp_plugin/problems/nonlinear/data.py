@@ -289,14 +289,20 @@ class NonlinearProblem(Problem):
         q : array, shape (n,)
         lower, upper : number or array, shape (n,), optional
         """
-        if self.jacobian is None:
+        q = checks.checked_vector(q, "q", self.n) if np.ndim(q) else q
+        sizes = [np.size(value) for value in (q, lower, upper) if np.ndim(value)]
+        if self.n is None and sizes:
+            return self.with_size(sizes[0]).with_q(q, lower=lower, upper=upper)
+        if self.jacobian is None and self.n is not None:
             _ = self.differences  # colored once for all q
         shifted = copy(self)
         # a proof belongs to the data of which it was made
         shifted.F, shifted.affine_part = lambda x: self.value(x) + q, None
         lower = self.lower if lower is None else lower
         upper = self.upper if upper is None else upper
-        shifted.lower, shifted.upper = checks.checked_bounds(lower, upper, self.lower.size)
+        shifted._bounds = shifted.lower, shifted.upper = lower, upper  # type: ignore[assignment]
+        if self.n is not None:
+            shifted.lower, shifted.upper = checks.checked_bounds(lower, upper, self.n)
         return shifted
 
     def with_function_of(self, other: Any, name: str) -> NonlinearProblem:

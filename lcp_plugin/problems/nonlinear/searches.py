@@ -97,7 +97,7 @@ class JosephyNewton(Algorithm):
     def step(self) -> Step:
         """Return the current point as a step, with the work since the last step."""
         work, self.work, note = self.work, 0.0, ""
-        if self.settings.verbose:
+        if self.settings.verbose and self.current.x.size:
             problem, worst = self.current.problem, int(np.argmax(np.abs(self.current.steps)))
             F, slopes, _ = problem.counts
             note = f"  {self.step_name}, length {self.length:.2g}; worst {problem.names.row(worst)}; F {F}, F′ {slopes}"

@@ -213,6 +213,8 @@ prepare(LOOP).solve(q=np.zeros(3)) → InvalidProblem: q
 prepare(LOOP).solve(M=np.full((2, 2), np.inf)) → InvalidProblem: M
 prepare(LOOP).solve(M=np.eye(3)) → InvalidProblem: M
 prepare(LOOP).solve(lower=2.0, upper=1.0) → InvalidProblem: lower
+prepare(CURVE).solve(q=np.zeros(3)) → InvalidProblem: q
+prepare(CURVE).solve(q=np.array([np.nan, 0.0])) → InvalidProblem: q
 prepare(PROGRAM).solve(c=np.array([np.nan, 0.0])) → InvalidProblem: c
 prepare(PROGRAM).solve(h=np.zeros(2)) → InvalidProblem: h
 prepare(PROGRAM).solve(lower=np.ones(2), upper=np.zeros(2)) → InvalidProblem: lower
@@ -224,7 +226,8 @@ prepare(LOOP, tolerrance=1e-8) → InvalidOption: tolerance
 def test_wrong_data_are_refused_as_by_the_constructor(call, words):
     """A NaN, another shape, crossed bounds (by little also), and classes without a loop."""
     program = QuadraticProgram(np.eye(2), [1.0, 1.0], [[1.0, 1.0]], [1.0])
-    assert_refused(call, words, {"LOOP": LOOP, "PROGRAM": program})
+    curve = NonlinearProblem(lambda x: x**3, lower=np.zeros(2))
+    assert_refused(call, words, {"LOOP": LOOP, "PROGRAM": program, "CURVE": curve})
 
 
 def test_threads_may_share_a_solver():
@@ -298,6 +301,17 @@ def test_a_prepared_solver_takes_all_data_of_the_table(problem, data):
     expected = solve(problem.with_data(**data)).require_solved().x
     assert step.solve(**data).require_solved().x.tolist() == pytest.approx(expected.tolist())
     assert not np.allclose(expected, solve(problem).x)
+
+
+@pytest.mark.parametrize(
+    "data", [{"q": [-1.0, 2.0]}, {"upper": 0.25}, {"q": [-1.0, 2.0], "lower": -5.0}]
+)
+def test_a_nonlinear_problem_may_get_its_size_from_the_data_or_the_start(data):
+    """A problem with numbers for bounds knows no size; its steps have the solution of a problem that does."""
+    step = prepare(NonlinearProblem(lambda x: x + x**3 - 1.0))
+    sized = NonlinearProblem(lambda x: x + x**3 - 1.0, lower=np.zeros(2)).with_data(**data)
+    assert step.solve(x0=np.zeros(2), **data).z.tolist() == solve(sized).z.tolist()
+    assert step.solve(x0=np.zeros(3)).is_solved
 
 
 def test_a_prepared_program_refuses_what_solve_refuses():

@@ -58,7 +58,7 @@ def with_entries(M: AnyMatrix, entries: Vector) -> sp.csr_array:
 
 def count_entries(matrix: AnyMatrix) -> int:
     """Return the number of nonzeros of an ndarray or a CSR array."""
-    return int(matrix.nnz if sp.issparse(matrix) else np.count_nonzero(matrix))
+    return int(np.count_nonzero(matrix) if isinstance(matrix, np.ndarray) else matrix.nnz)
 
 
 def entries_of_rows(matrix: AnyMatrix) -> Any:

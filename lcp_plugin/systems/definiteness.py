@@ -43,7 +43,8 @@ def is_semidefinite_to_rounding(P: AnyMatrix) -> bool | None:
     False
     """
     diagonal: Vector = P.diagonal()
-    if not (diagonal >= 0.0).all():
+    least = diagonal.min(initial=np.inf)
+    if not least >= 0.0:
         return False
     if sp.issparse(P):
         if is_diagonal(P):
@@ -58,11 +59,11 @@ def is_semidefinite_to_rounding(P: AnyMatrix) -> bool | None:
         is_full = filled.size <= FULL_CHOLESKY_UP_TO and P.nnz > 0.02 * filled.size**2
         if filled.size <= 150 or is_full:
             P = P.toarray() if filled.size == diagonal.size else P[filled].toarray()[:, filled]
-            diagonal = diagonal[filled]
+            diagonal, least = diagonal[filled], diagonal[filled].min(initial=np.inf)
     # Relative to √(p_ii p_jj), Cholesky's backward error is as small as for the scaled matrix (Demmel).
     if isinstance(P, np.ndarray):
         # Terms that underflow are negligible relative to it
-        if (diagonal >= 2.0**-900).all() and positive_triangle(P) is not None:
+        if least >= 2.0**-900 and positive_triangle(P) is not None:
             return True
         if is_diagonal(P):
             return True

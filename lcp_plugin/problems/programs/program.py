@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable
 from dataclasses import dataclass, field, fields
 from functools import cached_property
@@ -123,14 +124,13 @@ class QuadraticProgram(Problem):
         rows, limits = _checked_rows(G, h, "G", "h", n, checks.checked_right_side)
         equations, right = _checked_rows(A, b, "A", "b", n, checks.checked_vector)
         below, above = checks.checked_bounds(lower, upper, n)
-        vectors = zip(self.vector_names, (vector, limits, right, below, above), strict=True)
-        data = dict(vectors) | {"asymmetry": asymmetry, "constant": checked_constant(constant)}
-        m = limits.size + right.size
+        vectors = {"c": vector, "h": limits, "b": right, "lower": below, "upper": above}
+        constant, m = checked_constant(constant), limits.size + right.size
         if labels and names is None:
             of_rows = labels.get("g", []) + labels.get("a", [])
             names = Names(of_rows if len(of_rows) == m else None, labels.get("x"))
-        names = checked_names(names, m, n)
-        self._keep(ProgramMatrices(P, rows, equations), names=names, **data)
+        facts = {"names": checked_names(names, m, n), "asymmetry": asymmetry, "constant": constant}
+        self._keep(ProgramMatrices(P, rows, equations), **vectors, **facts)
 
     @classmethod
     def from_ranges(
@@ -352,7 +352,7 @@ VECTORS = QuadraticProgram.vector_names
 
 def checked_constant(constant: Array) -> float:
     """Return the constant of an objective as a float; raise InvalidProblem if it is not a finite number."""
-    if not (checks.is_number(constant) and np.isfinite(constant)):
+    if not (checks.is_number(constant) and math.isfinite(constant)):
         raise InvalidProblem(f"constant must be a finite number, got {constant!r}")
     return float(constant)
 

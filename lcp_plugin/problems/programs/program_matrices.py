@@ -127,7 +127,7 @@ class ProgramMatrices:
     def is_small(self) -> bool:
         """True if a program with these matrices is small or dense: for daqp."""
         m, p, n, _ = self.sizes
-        return may_be_small(n, m + p, (matrix.size for matrix in (self.P, self.G, self.A)))
+        return may_be_small(n, m + p, (self.P.size, self.G.size, self.A.size))
 
     @cached_property
     def entries(self) -> tuple[int, int]:
@@ -135,10 +135,10 @@ class ProgramMatrices:
         in_P, in_G, in_A = map(count_entries, (self.P, self.G, self.A))
         return in_P, in_G + in_A
 
-    @property
+    @cached_property
     def has_curvature(self) -> bool:
         """True if P has a nonzero."""
-        return self.entries[0] > 0
+        return count_entries(self.P) > 0
 
     @cached_property
     def singletons(self) -> tuple[Indices, Indices, Vector]:

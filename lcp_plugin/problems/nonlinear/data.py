@@ -290,7 +290,8 @@ class NonlinearProblem(Problem):
         lower, upper : number or array, shape (n,), optional
         """
         q = checks.checked_vector(q, "q", self.n) if np.ndim(q) else q
-        sizes = [np.size(value) for value in (q, lower, upper) if np.ndim(value)]
+        given = [value for value in (q, lower, upper) if value is not None]
+        sizes = [np.size(value) for value in given if np.ndim(value)]
         if self.n is None and sizes:
             return self.with_size(sizes[0]).with_q(q, lower=lower, upper=upper)
         if self.jacobian is None and self.n is not None:

@@ -337,7 +337,7 @@ def jacobian_warning(point: Linearization) -> str:
         quotient = (problem.evaluate(read_only(x + step * direction)) - value) / step
         found.append((slope, quotient))
         apart, size = np.abs(quotient - slope), terms + np.abs(quotient)
-        if not np.count_nonzero(apart > 0.1 * size):  # NaN is no deviation
+        if not np.count_nonzero(apart > 0.1 * size):  # NaN does not deviate
             return ""
         is_single = (value == value.astype(np.float32)).all()  # the digits of F
         rounding = np.abs(value) * (2.0**-23 if is_single else 2.0**-52)

@@ -84,8 +84,9 @@ class MadeOnAccess:
     def __getattr__(self, name: str) -> Any:
         """Return an attribute that is not computed yet."""
         attributes = vars(self)
-        if not name.startswith("_") and attributes.get("_make") is not None:
-            attributes.update(vars(attributes["_make"]()), _make=None)
+        # Read once: another thread may set it to None
+        if not name.startswith("_") and (make := attributes.get("_make")) is not None:
+            attributes.update(vars(make()), _make=None)
         if name not in attributes:
             raise AttributeError(f"{type(self).__name__!r} object has no attribute {name!r}")
         return attributes[name]

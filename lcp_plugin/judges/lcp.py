@@ -609,8 +609,8 @@ def bound_residual(data: RowData, z: Vector, tolerance: float, most: Any = INF) 
 def bound_residuals(M, q, lower, upper, start, tolerance, rows, z, residual):  # type: ignore[no-untyped-def]
     """Write upper bounds of the relative residuals of points that the stopping criterion accepts; ∞ if in doubt.
 
-    z is moved into the bounds; noise near a bound is set to it if that helps. `start` is z°. The test implies the
-    criterion, because
+    z is moved into the bounds; noise near a bound is set to it if that helps. NaN stays. `start` is z°. The test
+    implies the criterion, because
 
     - the maxima over the rows of a component are its ‖r‖∞ and its reference;
     - the computed w, T and w(z°) are within `rounding`, which is at least twice the criterion's own bound, so that
@@ -646,7 +646,7 @@ def bound_residuals(M, q, lower, upper, start, tolerance, rows, z, residual):  #
                                     has_grown = True
         for attempt in range(2):
             for i in range(n):
-                x = z[k, i] if abs(z[k, i]) > SMALLEST * min(size, 1.0) else 0.0
+                x = 0.0 if abs(z[k, i]) <= SMALLEST * min(size, 1.0) else z[k, i]
                 if x - lower[k, i] <= attempt * SET_TO_BOUND * size:
                     x = lower[k, i]
                 elif upper[k, i] - x <= attempt * SET_TO_BOUND * size:

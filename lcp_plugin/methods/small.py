@@ -183,20 +183,22 @@ def solve_stack(
     for attempt in range(0 if starts is not None else ROUNDS, ROUNDS + 3):
         if not items.size:
             break
-        A, b, low, high, begin = _select(arrays, items)
+        A, b, low, high, begin = data = _select(arrays, items)
         if attempt == ROUNDS:
-            side = _ends_of_paths(A, b, low, high)
+            x, bound = bounded_ends(data, tolerance)
+            side = _ends_of_paths(A, b, low, high) if math.isnan(bound[0]) else None
         else:
             scale = residual_scales(A.diagonal(axis1=-2, axis2=-1), np.abs(A).max(-1, initial=0.0))
             step = (matvec(A, z[items]) + b) / scale
             side = np.where(step > z[items] - low, LOW, FREE + (step < z[items] - high))
-        x, bound = _bounded_points(A, b, low, high, begin, side, tolerance)
+        if side is not None:
+            x, bound = _bounded_points(A, b, low, high, begin, side, tolerance)
         z[items], residual[items], is_solved[items] = x, bound, bound < np.inf
         items = items[bound == np.inf]
         items = items[np.isfinite(z[items, 0])] if attempt >= ROUNDS else items
         if attempt >= ROUNDS and items.size:
-            data = stacked_data(*_select((M, q, lower, upper), items))
-            measured = data.measure(normal(data, z[items]), tolerance)
+            rows = stacked_data(*_select((M, q, lower, upper), items))
+            measured = rows.measure(normal(rows, z[items]), tolerance)
             z[items], residual[items], is_solved[items] = measured[:3]
             items = items[~measured.passes]  # the path left out what is below its perturbation
     return z, residual, (z != begun).any(1).astype(int), is_solved
@@ -206,35 +208,33 @@ def _bounded_points(
     M: Vector, q: Vector, lower: Array, upper: Array, start: Array, sides: Array, tolerance: float
 ) -> tuple[Vector, Vector]:
     """Return the points of active sets and bounds of their residuals, by kernels; NaN and ∞ if a system is singular."""
-    (count, n), z = q.shape, active_set_points(M, q, lower, upper, sides)
-    is_lost, bound = np.isnan(z[:, 0]), np.empty(count)
-    bound_residuals(M, q, lower, upper, start, float(tolerance), np.empty((6, n)), z, bound)
-    if is_lost.any():
-        z[is_lost, 0], bound[is_lost] = np.nan, np.inf
+    z, (count, n) = active_set_points(M, q, lower, upper, sides), q.shape
+    table, bound = np.empty((6, n)), np.empty(count)
+    bound_residuals(M, q, lower, upper, start, float(tolerance), table, z, bound)
     return z, bound
 
 
 @kernel
-def follow_one(M, q, lower, upper, start, tilts, tolerance, z, bound):  # type: ignore[no-untyped-def]
-    """Write the end of the path of one problem, and the bound of its residual, ∞ if in doubt.
+def bound_ends(M, q, lower, upper, start, tilts, tolerance, z, bound):  # type: ignore[no-untyped-def]
+    """Write the ends of the paths, and bounds of their residuals: ∞ if in doubt, NaN if an unknown of any is free.
 
-    A z that the sufficient test accepts stays; NaN if there is none. The bound is NaN if there are free unknowns.
+    The z of one problem stays if the sufficient test accepts it; z[0, 0] is NaN if there is none.
     """
-    n = q.shape[1]
-    for i in range(n):
-        if lower[0, i] == -INF and upper[0, i] == INF:
-            bound[0] = np.nan
-            return
+    count, n = q.shape
+    for k in range(count):
+        for i in range(n):
+            if lower[k, i] == -INF and upper[k, i] == INF:
+                bound[0] = np.nan
+                return
     T, numbers = np.empty((n + 9, n + 1)), np.empty((2, 2 * n + 1), np.int64)
-    sides = np.empty((1, n), np.int64)
+    sides = np.empty((count, n), np.int64)
     bound[0] = INF
     if z[0, 0] == z[0, 0]:
         bound_residuals(M, q, lower, upper, start, tolerance, T, z, bound)
     if bound[0] == INF:
         follow_paths(M, q, lower, upper, tilts, -1, T, numbers, sides)
         solve_active_sets(M, q, lower, upper, sides, T, numbers[0], z)
-        if z[0, 0] == z[0, 0]:
-            bound_residuals(M, q, lower, upper, start, tolerance, T, z, bound)
+        bound_residuals(M, q, lower, upper, start, tolerance, T, z, bound)
 
 
 def path_steps(problem: LCP, tolerance: float, z0: Vector) -> Iterator[Step]:
@@ -251,11 +251,12 @@ def path_steps(problem: LCP, tolerance: float, z0: Vector) -> Iterator[Step]:
         )
         if bound < math.inf:
             yield Step(z, work=work, is_settling=True, measured=Measured(z, float(bound), True))
-    z, bound = end_of_path(arrays, tolerance)
-    if math.isnan(bound):
-        (z,), (bound,) = _bounded_points(*arrays, _ends_of_paths(*arrays[:4]), tolerance)
+    points, bounds = bounded_ends(arrays, tolerance)
+    if math.isnan(bounds.item(0)):
+        points, bounds = _bounded_points(*arrays, _ends_of_paths(*arrays[:4]), tolerance)
+    z, bound = points[0], bounds.item(0)
     if math.isfinite(z[0]):
-        measured = Measured(z, float(bound), True) if bound < math.inf else None
+        measured = Measured(z, bound, True) if bound < math.inf else None
         yield Step(z, work=work, is_settling=True, measured=measured)
 
 
@@ -266,13 +267,13 @@ def arrays_of_one(problem: LCP) -> tuple[Vector, Vector, Vector, Vector, Vector]
     return M[None], q[None], lower[None], upper[None], start[None]
 
 
-def end_of_path(arrays: Array, tolerance: float, start: Array = math.nan) -> tuple[Vector, float]:
-    """Return the start if the quick test accepts it, else the end of the path; and the bound of :func:`follow_one`."""
-    n = arrays[1].shape[1]
-    z, bound = np.empty((1, n)), np.empty(1)
+def bounded_ends(arrays: Array, tolerance: float, start: Array = math.nan) -> tuple[Vector, Vector]:
+    """Return the ends of the paths, or the start of one problem if it passes, and bounds as :func:`bound_ends`."""
+    count, n = arrays[1].shape
+    z, bound = np.empty((count, n)), np.empty(count)
     z[0] = start
-    follow_one(*arrays, tilts(n), tolerance, z, bound)
-    return z[0], float(bound[0])
+    bound_ends(*arrays, tilts(n), tolerance, z, bound)
+    return z, bound
 
 
 def _select(arrays: Array, items: Indices) -> list[Any]:

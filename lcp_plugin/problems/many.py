@@ -11,7 +11,7 @@ from typing import Any, Self, TypeVar, overload
 import numpy as np
 from numpy.typing import ArrayLike
 
-from ..core.checks import real_array, without_none
+from ..core.checks import Array, checked_bounds, normalize_bounds, real_array, without_none
 from ..core.errors import InvalidProblem, LCPError, NotConverged
 from ..core.kernels.threads import MAX_THREADS, shared_among
 from ..core.names import format_count
@@ -38,7 +38,7 @@ class AnswerSequence(Sequence[T]):
         Wall-clock seconds of the batch.
     """
 
-    item = "problem"
+    item, keep = "problem", 1
     seconds: float
     status: Any
 
@@ -53,7 +53,7 @@ class AnswerSequence(Sequence[T]):
     def __getitem__(self, k: int | slice) -> T | list[T]:
         if isinstance(k, slice):
             return [self.at(i) for i in range(len(self))[k]]
-        hint = "; keep=1 keeps all steps" if getattr(self, "keep", 1) != 1 else ""
+        hint = "; keep=1 keeps all steps" if self.keep != 1 else ""
         return self.at(item_number(k, len(self), hint))
 
     @property
@@ -139,6 +139,13 @@ def rows_of_a_batch(values: ArrayLike, name: str, n: int) -> Any:
             hint = "; for one number per problem use a column, shape (B, 1), times np.ones(n)"
         raise InvalidProblem(f"{need}, got shape {array.shape}{hint}")
     return np.array(np.atleast_2d(array), order="C")
+
+
+def bounds_of_a_batch(lower: Array, upper: Array, n: int) -> Any:
+    """Return the bounds as arrays of shape (B, n), or (1, n) if all problems share them; ±1e20 means none."""
+    if type(lower) is type(upper) is float and lower <= 0.0 <= upper:
+        return [end[np.newaxis] for end in checked_bounds(lower, upper, n)]
+    return normalize_bounds(rows_of_a_batch(lower, "lower", n), rows_of_a_batch(upper, "upper", n))
 
 
 def length_of_all(counts: dict[str, int]) -> int:

@@ -34,7 +34,7 @@ from ..engines.solvers import DAQP, ends_of_rows
 from ..judges.lcp import Measured, row_data
 from ..judges.program import NO_POLISH, JudgedProgram, KKTErrors, sharp_errors
 from ..methods.lemke import Lemke
-from ..methods.small import LOOP_UP_TO, arrays_of_one, end_of_path, has_numba, is_small
+from ..methods.small import LOOP_UP_TO, arrays_of_one, bounded_ends, has_numba, is_small
 from ..solving.dispatch import parse_call, solver_with
 from ..solving.result import NOTHING_TO_DO, Result, StageRecord
 from ..solving.run import with_samples
@@ -139,7 +139,9 @@ class PreparedLCP(PreparedProblem[LCP]):
             is_right = is_plain(start, n) and np.isfinite(start).all()
             start = start.copy() if is_right else checked_start(self.problem, start)
         arrays = A, b, low, high, nearest
-        z, bound = end_of_path(arrays, settings.tolerance, math.nan if start is None else start)
+        begin = math.nan if start is None else start
+        points, residuals = bounded_ends(arrays, settings.tolerance, begin)
+        z, bound = points[0], residuals.item(0)
         if not bound < math.inf:
             return None
         near = nearest[0] if start is None else start

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
 from contextlib import AbstractContextManager, nullcontext
 from dataclasses import replace
 from functools import cached_property
@@ -30,6 +29,7 @@ from ..programs.solution import QPSolution
 from .program_batch import ENGINE, ProgramBatch
 
 REPORTING = Lock()  # at most one thread is in the callback
+UNREAD = -1  # iterations of a problem outside of stacks: its result has them
 
 
 class BatchRun:
@@ -55,7 +55,7 @@ class BatchRun:
         self.threads = checked_threads(options.get("threads"))
         self.options = {name: options[name] for name in options.keys() - {"max_seconds", "threads"}}
         self.errors, self.z = {**problems.errors}, problems.points
-        if isinstance(self.z, np.ndarray):
+        if self.errors and isinstance(self.z, np.ndarray):
             self.z[[*self.errors]] = np.nan
         self.status, self.residual = np.full(count, None), np.full(count, np.nan)
         self.iterations, self.is_open = np.zeros(count, np.int64), np.ones(count, np.bool_)
@@ -156,13 +156,8 @@ class BatchRun:
             if isinstance(self.z, np.ndarray):
                 self.z[k] = np.nan
             return
-        self.results[k] = result
+        self.results[k], self.status[k], self.iterations[k] = result, result.status, UNREAD
         self._set_point(k, self.problems.row(result))
-        if isinstance(result, QuadraticProgramResult):
-            self.residual[k] = result.solution.error
-        elif isinstance(result, Result):
-            self.residual[k] = result.certificate.relative_residual
-        self.status[k], self.iterations[k] = result.status, result.iterations
         self.is_interrupted |= result.status is Status.INTERRUPTED
 
     def _set_point(self, k: int, x: Array) -> None:
@@ -206,16 +201,18 @@ class BatchRun:
         return replace(result, seconds=share, **named)
 
     def tables(self) -> dict[str, Any]:
-        """Return the arrays of the results by name."""
-        z, iterations = self.z, self.iterations
+        """Return the arrays of the results by name; a result that ran by itself computes its numbers here."""
+        z, residual, iterations = self.z, self.residual.copy(), self.iterations.copy()
+        for k in np.flatnonzero(iterations == UNREAD).tolist():
+            iterations[k], residual[k] = self.results[k].iterations, error_of(self.results[k])
         if isinstance(self.problems, ProgramBatch):
             rows = self.problems.tables(z)
-            return {**rows, "residual": self.residual, "iterations": iterations}
+            return {**rows, "residual": residual, "iterations": iterations}
         if not isinstance(z, np.ndarray) and len(sizes := {len(row) for row in z if len(row)}) <= 1:
             z = np.full((len(z), *(sizes or {0})), np.nan)
             for k, row in enumerate(self.z):
                 z[k, : len(row)] = row
-        return {"x": z, "z": z, "relative_residual": self.residual, "iterations": iterations}
+        return {"x": z, "z": z, "relative_residual": residual, "iterations": iterations}
 
     def objectives(self) -> Any:
         """Return the objective of each problem, NaN if it has none."""
@@ -225,6 +222,13 @@ class BatchRun:
         for k, result in self.results.items():
             values[k] = np.nan if result.objective is None else result.objective
         return values
+
+
+def error_of(result: Any) -> Any:
+    """Return the error measure of a result in a batch, NaN if it has none."""
+    if isinstance(result, QuadraticProgramResult):
+        return result.solution.error
+    return result.certificate.relative_residual if isinstance(result, Result) else math.nan
 
 
 def one_blas_thread() -> AbstractContextManager[Any]:
@@ -271,24 +275,22 @@ class BatchAnswers(AnswerSequence[Any]):
         Number of threads that took part.
     """
 
-    status: Array
-    x: Array
-    z: Array
-    relative_residual: Array
-    iterations: Array
-    inequality: Array
-    equality: Array
-    lower: Array
-    upper: Array
-    residual: Array
-
     def __init__(self, run: BatchRun) -> None:
         self._run, self.item = run, run.problems.item
         self.errors, self.problems, self.threads = run.errors, run.problems, run.threads
-        for name, table in {"status": run.status, "seconds": run.seconds, **run.tables()}.items():
+        self.status, self.seconds = read_only(run.status), run.seconds
+
+    def __getattr__(self, name: str) -> Any:
+        """Return a table; the first access to one of them makes all."""
+        tables = {} if name.startswith("_") else self._run.tables()
+        if name not in tables:
+            words = f"BatchAnswers of these problems has no {name}; its arrays include status, "
+            raise AttributeError(words + ", ".join(tables))
+        for key, table in tables.items():
             if isinstance(table, np.ndarray):
                 table.flags.writeable = False
-            setattr(self, name, table)
+            setattr(self, key, table)
+        return tables[name]
 
     def __len__(self) -> int:
         return len(self.status)
@@ -307,7 +309,7 @@ class BatchAnswers(AnswerSequence[Any]):
     @cached_property
     def w(self) -> Any:
         """M z + q of each problem, like z; velocities of contacts, 1 for absent contacts."""
-        w = self._compute("w", lambda problems: problems.slacks(self.z))
+        w = self.problems.slacks(self.z)
         for k, result in self._run.results.items():
             if result.has_no_solution:
                 w[k] = math.nan * w[k]
@@ -316,12 +318,4 @@ class BatchAnswers(AnswerSequence[Any]):
     @property
     def motion(self) -> Any:
         """Impulses and velocities per contact, a ContactMotion with a batch axis in front."""
-        return self._compute("motion", lambda problems: problems.motion(self.z, self.w))
-
-    def _compute(self, name: str, function: Callable[[Any], Any]) -> Any:
-        try:
-            return function(self.problems)
-        except AttributeError as error:
-            tables = [table for table in BatchAnswers.__annotations__ if hasattr(self, table)]
-            words = f"BatchAnswers of these problems has no {name}; its arrays include {', '.join(tables)}"
-            raise AttributeError(words) from error
+        return self.problems.motion(self.z, self.w)

@@ -11,8 +11,9 @@ import numpy as np
 import scipy.sparse as sp
 from numpy.typing import ArrayLike
 
-from ...core.checks import AnyMatrix, Array, checked_start, normalize_bounds, read_only, real_array
+from ...core.checks import AnyMatrix, Array, checked_start, read_only, real_array
 from ...core.cone_stack import ConeStack, Pattern
+from ...core.entries import clip
 from ...core.errors import InvalidOption, InvalidProblem, LCPError
 from ...core.lcp import LCP
 from ...methods.small import (
@@ -33,7 +34,7 @@ from ..cones.solving import solve_cone_stack
 from ..contact import motion_of
 from ..least_squares.data import BoundedLeastSquares, apply_to
 from ..least_squares.solving import length_of_stack, solve_least_squares_stack, suits_stack
-from ..many import length_of_all, rows_of_a_batch
+from ..many import bounds_of_a_batch, length_of_all, rows_of_a_batch
 
 WORK = 2**18  # problems times n² per stack of LCPs
 SHORTEST = 1024  # problems: the Python code of a stack takes .2 ms
@@ -243,9 +244,10 @@ class ArrayInstances(Instances):
 
     def __init__(self, vectors: dict[str, Any], n: int, m: int, counts: dict[str, int]) -> None:
         vectors = {name: values for name, values in vectors.items() if values is not None}
-        sizes = {name: m if name == "b" else n for name in vectors}
+        others = [name for name in vectors if name not in ("lower", "upper")]
+        sizes = {name: m if name == "b" else n for name in others}
         rows = {name: rows_of_a_batch(vectors[name], name, size) for name, size in sizes.items()}
-        rows["lower"], rows["upper"] = normalize_bounds(rows["lower"], rows["upper"])
+        rows["lower"], rows["upper"] = bounds_of_a_batch(vectors["lower"], vectors["upper"], n)
         several = {name: len(rows[name]) for name in rows if np.ndim(vectors[name]) == 2}
         self.rows, self.count = rows, length_of_all(several | counts)
         if "z0" in rows and not np.isfinite(rows["z0"]).all():
@@ -256,7 +258,7 @@ class ArrayInstances(Instances):
         """Keep the error of each problem that is not good; bounds must be consistent as well."""
         lower, upper = self.rows["lower"], self.rows["upper"]
         is_good = is_good & have_values(lower, upper)
-        for k in np.flatnonzero(~np.broadcast_to(is_good, self.count)).tolist():
+        for k in (~np.broadcast_to(is_good, self.count)).nonzero()[0].tolist():
             try:
                 self[k]
             except LCPError as error:
@@ -277,7 +279,8 @@ class ArrayInstances(Instances):
     @property
     def valid(self) -> Any:
         """Numbers of the problems without errors."""
-        return np.delete(np.arange(self.count), [*self.errors])
+        numbers = np.arange(self.count)
+        return np.delete(numbers, [*self.errors]) if self.errors else numbers
 
     def _row(self, name: str, k: int) -> Any:
         rows = self.rows[name]
@@ -290,7 +293,7 @@ class ArrayInstances(Instances):
     @property
     def points(self) -> Any:
         """The points at which the problems begin, shape (B, n)."""
-        begun = np.clip(self.rows.get("z0", 0.0), self.rows["lower"], self.rows["upper"])
+        begun = clip(self.rows.get("z0", 0.0), self.rows["lower"], self.rows["upper"])
         return np.array(np.broadcast_to(begun, (self.count, begun.shape[1])))
 
 
@@ -315,8 +318,7 @@ class Stacked(ArrayInstances):
             self.base = LCP(self.M, np.zeros(n))
         is_good = np.isfinite(self.rows["q"]).all(1)
         if self.M.ndim == 3:
-            with np.errstate(all="ignore"):
-                is_good = is_good & np.isfinite(self.M.sum(axis=(1, 2)))
+            is_good = is_good & np.isfinite(self.M.sum(axis=(1, 2)))
         self._find_errors(is_good)
 
     def __getitem__(self, k: int) -> Any:

@@ -110,5 +110,6 @@ def solve_on_device(
     with problems.double():
         z = problems.jax.device_put(problems.jax.numpy.asarray(answers.z), problems.device)
     is_other = is_of_device(data[1]) and not isinstance(data[1], problems.jax.Array)
-    answers.x = answers.z = library.from_dlpack(z) if is_other else z
+    for name in ("x", "z"):
+        setattr(answers, name, library.from_dlpack(z) if is_other else z)
     return answers

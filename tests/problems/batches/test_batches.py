@@ -129,6 +129,7 @@ def test_batches_of_nothing_of_one_and_of_sparse_matrices():
     assert solve_batch(np.zeros((2, 0, 0)), np.zeros((2, 0))).all_solved
     M, q = definite_stack(6, 5)
     assert solve_batch(M[0], q[0]).z.shape == (1, 5)
+    assert "certificate" not in vars(solve_batch([[2.0, 1.0], [1.0, 2.0]], [-5.0, 1.0])[0])  # yet
     chain = sp.diags_array([-np.ones(4), np.full(5, 2.5), -np.ones(4)], offsets=[-1, 0, 1])
     batch = solve_batch(chain, q, upper=0.1, lower=np.full(5, -0.1))
     assert batch.all_solved

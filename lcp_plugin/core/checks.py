@@ -5,7 +5,6 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Iterable, Sequence
 from contextlib import suppress
-from copy import copy
 from functools import cached_property, lru_cache, wraps
 from typing import Any, Self, TypeVar
 
@@ -49,10 +48,8 @@ def read_only(array: NDArray[Any]) -> NDArray[Any]:
 
 def copy_without(thing: T, *computed: str) -> T:
     """Return a copy without these cached properties, if they were computed."""
-    made = copy(thing)
-    for name in computed:
-        vars(made).pop(name, None)
-    return made
+    kept = {name: value for name, value in vars(thing).items() if name not in computed}
+    return fill(object.__new__(type(thing)), **kept)
 
 
 def fill(new: T, **data: Any) -> T:
@@ -386,6 +383,8 @@ def checked_answer(answer: object, n: int) -> Vector:
 
 def checked_bound(values: object, name: str, n: int) -> Vector:
     """Return a bound as a vector of length n; a number stands for all, ±∞ for none, NaN is rejected."""
+    if type(values) is float and n <= SHARED_UP_TO and abs(values) < INFINITE_LIMIT:
+        return _equal_bounds(values, values, n)[0]
     need = f"{name} must be a number or a vector of length {n}"
     array = real_array(without_none(values, name), need)
     if array.shape in ((n, 1), (1, n)):

@@ -12,6 +12,7 @@ doi:10.1137/050645671.
 
 from __future__ import annotations
 
+from functools import lru_cache
 from typing import Any
 
 import numpy as np
@@ -26,6 +27,7 @@ ENTRIES_TOGETHER = 2**15  # entries whose temporary vectors stay in a processor'
 Sums = tuple[Vector, Vector, Vector]
 
 
+@lru_cache(256)
 def gamma(terms: int) -> float:
     """Return an upper bound of k u/(1 − k u), u = 2⁻⁵³: the relative error of k rounded operations in a row.
 

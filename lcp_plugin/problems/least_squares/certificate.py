@@ -171,8 +171,8 @@ def _dual_points(optimality: Optimality) -> Iterator[tuple[Vector, Ball]]:
     """Yield dual points y with their s, the cheapest first: each also shrunk, and with 0 for rounding errors."""
     enclosures, x, radius = optimality.enclosures, optimality.x, optimality.misfit[1]
     for y in _orthogonal_residuals(optimality):
-        without_rounding = np.where(np.abs(y) > radius, y, 0.0)  # their multipliers are exactly 0
-        for dual in (y, without_rounding)[: 1 + (np.abs(y) <= radius).any()]:
+        is_noise = np.abs(y) <= radius  # their multipliers are exactly 0
+        for dual in (y, np.where(is_noise, 0.0, y)) if is_noise.any() else (y,):
             slope = enclosures.gradient_at(x, dual)
             yield dual, slope
             share = _admissible_share(enclosures.problem, x, slope)
@@ -208,9 +208,10 @@ def _relative_gap(
     problem: BoundedLeastSquares, x: Vector, residual: Ball, y: Vector, slope: Ball
 ) -> Any:
     """Return gap(x, y) relative to the cost of y, apart from rounding, for s in `slope`; shape (B,) for a stack."""
-    off = np.maximum(np.abs(residual[0] - y) - residual[1], 0.0)
-    linear = falls(problem, x, slope)
-    gap = 0.5 * np.vecdot(problem.apply_weights(off), off) + linear.sum(-1)
+    gap = falls(problem, x, slope).sum(-1)
+    if y is not residual[0]:
+        off = np.maximum(np.abs(residual[0] - y) - residual[1], 0.0)
+        gap = 0.5 * np.vecdot(problem.apply_weights(off), off) + gap
     gap = np.where(gap < np.inf, OUTWARD**3 * gap + TINY * (gap > 0.0), np.inf)
     y = np.where(problem.has_terms, y, 0.0)  # no x changes the cost of the other rows
     squares = np.vecdot(problem.apply_weights(y), y) + problem.ridge * np.vecdot(x, x)

@@ -14,7 +14,8 @@ import scipy.sparse as sp
 from numpy.typing import ArrayLike
 
 from ...core import checks
-from ...core.checks import AnyMatrix, Array, BoolVector, FloatMatrix, Vector, read_only
+from ...core.checks import AnyMatrix, Array, BoolVector, Vector, read_only
+from ...core.entries import clip
 from ...core.errors import InvalidOption, InvalidProblem
 from ...core.kernels.floats import EPSILON, OUTWARD, TINY
 from ...core.names import shared_labels
@@ -165,6 +166,7 @@ class BoundedLeastSquares(Problem):
     def stack(self, b: Vector, lower: Vector, upper: Vector, l1: Vector) -> BoundedLeastSquares:
         """Return the problem with other, checked vectors; an axis in front, shapes (B, m) and (B, n), makes a stack."""
         _ = self.row_units, self.root_weights, self.has_terms, self.terms  # shared from now on
+        _ = self.nearest_to_zero, self.bounds_per_column
         of_bounds = () if lower is self.lower and upper is self.upper else OF_BOUNDS
         made = checks.copy_without(self, "scaled", *of_bounds)
         made.b, made.lower, made.upper, made.l1 = b, lower, upper, l1
@@ -203,7 +205,7 @@ class BoundedLeastSquares(Problem):
     @cached_property
     def nearest_to_zero(self) -> Vector:
         """The point of [lower, upper] nearest to 0, shape (n,)."""
-        return read_only(np.clip(0.0, self.lower, self.upper))
+        return read_only(clip(0.0, self.lower, self.upper))
 
     @cached_property
     def bounds_per_column(self) -> Any:
@@ -423,7 +425,8 @@ class Enclosures:
     def residual(self, x: Vector) -> Ball:
         """Return A x − b."""
         problem = self.problem
-        return self._product(problem.A, problem.sizes, x, NO_ROWS, problem.b, problem.terms[0])
+        size = apply_to(problem.sizes, np.abs(x)) + np.abs(problem.b)
+        return apply_to(problem.A, x) - problem.b, _rounding(size, problem.terms[0])
 
     @cached_property
     def most_rounding(self) -> Vector:
@@ -462,19 +465,10 @@ class Enclosures:
     def apply_transpose(self, y: Vector, radius: Vector) -> Ball:
         """Return AᵀWy for a y known up to radius; an empty radius means that y is exact."""
         problem = self.problem
-        weighted = problem.apply_weights(y)
-        radius = problem.apply_weights(radius) if radius.size else radius
-        sizes, terms = problem.sizes.T, problem.terms[1]
-        return self._product(problem.A.T, sizes, weighted, radius, 0.0, terms)
-
-    def _product(
-        self, B: FloatMatrix, sizes: FloatMatrix, v: Vector, radius: Array, less: Array, terms: int
-    ) -> Ball:
-        """Return B v − less for a v known up to radius, with |B| = sizes and so many terms in a row of B."""
-        unsure = OUTWARD * apply_to(sizes, radius) if radius.size else 0.0
-        size = apply_to(sizes, np.abs(v)) + np.abs(less) + unsure
-        rounding = gamma(2 * terms + 8) * OUTWARD * size + (2 * terms + 8) * TINY * (size > 0.0)
-        return apply_to(B, v) - less, rounding + unsure
+        weighted, sizes, terms = problem.apply_weights(y), problem.sizes.T, problem.terms[1]
+        value, size = apply_to(problem.A.T, weighted), apply_to(sizes, np.abs(weighted))
+        unsure = OUTWARD * apply_to(sizes, problem.apply_weights(radius)) if radius.size else 0.0
+        return value, _rounding(size + unsure, terms) + unsure
 
     @cached_property
     def reference(self) -> float:
@@ -484,6 +478,11 @@ class Enclosures:
         if not value.any():
             value = self.gradient(start, self.residual(start))[0]
         return float((np.abs(value) / problem.column_scales).max(initial=0.0))
+
+
+def _rounding(size: Vector, terms: int) -> Any:
+    """Return bounds of the rounding errors of B v, from |B||v| and the number of terms in a row."""
+    return gamma(2 * terms + 8) * OUTWARD * size + (2 * terms + 8) * TINY * (size > 0.0)
 
 
 def shortest_solution(A: Vector, b: Vector) -> Vector:

@@ -333,8 +333,9 @@ def _solve_by_nnls(problem: Any, A: Vector, b: Vector) -> Vector:
     from scipy.optimize import nnls
 
     is_below, n = np.isfinite(problem.lower), A.shape[1]
-    sign, bound = np.where(is_below, 1.0, -1.0), np.where(is_below, problem.lower, problem.upper)
+    sign, bound = np.ones(1), problem.lower
     if not is_below.all():
+        sign, bound = np.where(is_below, 1.0, -1.0), np.where(is_below, bound, problem.upper)
         A = A * sign
     if bound.any():
         b = b - A @ (sign * bound)

@@ -90,6 +90,7 @@ def test_a_prepared_contact_fit_and_nonlinear_problem_have_the_status_of_solve(d
         assert step.solve().z.tobytes() == solve(contact).z.tobytes()
         fit = prepare(BoundedLeastSquares(A, b))
         assert fit.solve(b=-b).status is solve(BoundedLeastSquares(A, -b)).status
+        assert "nearest_to_zero" in vars(fit.problem.with_vectors(b=-b))
         curved = NonlinearProblem(lambda x, b=b: x + x**3 + b, lower=np.zeros(6))
         assert prepare(curved).solve(x0=np.abs(b)).status is solve(curved, x0=np.abs(b)).status
 

@@ -74,11 +74,12 @@ def components_of_links(links: BoolVector) -> IntVector:
     n, count = len(links), 0
     reach = links.astype(np.float32)
     reach.flat[:: n + 1] = 1.0
-    while count < (now := int(np.count_nonzero(reach))):
+    while count < (now := int(np.count_nonzero(reach))) < n * n:
         count, reach = now, np.minimum(reach @ reach, 1.0)
+    if now == n * n:
+        return np.zeros(n, np.int64)
     first = reach.argmax(axis=1)  # row of each component
-    numbers: IntVector = (np.cumsum(first == np.arange(n)) - 1)[first]
-    return numbers
+    return np.asarray((np.cumsum(first == np.arange(n)) - 1)[first])
 
 
 def mismatch(M: AnyMatrix, size: Vector, tolerance: float) -> tuple[float, tuple[int, int] | None]:

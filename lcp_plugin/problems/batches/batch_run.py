@@ -280,6 +280,10 @@ class BatchAnswers(AnswerSequence[Any]):
         self.errors, self.problems, self.threads = run.errors, run.problems, run.threads
         self.status, self.seconds = read_only(run.status), run.seconds
 
+    def __dir__(self) -> list[str]:
+        """Return the names that an editor completes, those of the tables included."""
+        return [*super().__dir__(), *self._run.tables()]
+
     def __getattr__(self, name: str) -> Any:
         """Return a table; the first access to one of them makes all."""
         tables = {} if name.startswith("_") else self._run.tables()

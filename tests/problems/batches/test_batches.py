@@ -50,6 +50,12 @@ def test_a_batch_is_what_solve_gives_one_by_one(algorithm, shared):
     assert listed.z.tobytes() == batch.z.tobytes()
 
 
+def test_an_editor_completes_the_arrays_of_a_batch():
+    """The names of a batch include those of its arrays, before one of them is read."""
+    batch = solve_batch(np.stack([np.eye(2)] * 2), -np.ones(2))
+    assert {"z", "w", "status", "iterations", "relative_residual"} < set(dir(batch))
+
+
 def test_solve_batch_of_large_problems_gives_blas_one_thread():
     """BLAS has one thread in stacks of problems with more than 128 unknowns, if threadpoolctl is installed."""
     tools, seen = pytest.importorskip("threadpoolctl"), list[int]()

@@ -212,20 +212,6 @@ def test_a_point_outside_its_bounds_is_disproved_and_the_bound_is_named(make):
         certify(make(M, q), [0, np.nan])
 
 
-def test_conditions_of_a_program_are_proved_as_an_lcp_and_refused_as_a_program():
-    """The rows of the optimality conditions pass, and the objective is wrong by 4e-9 of its value."""
-    problem = LCP.from_qp(
-        np.diag([2.0**-23, 0, 0]),
-        [1.0000000009313226, 1.9999999944120646, 1.0000000009313226],
-        [[0.0, -2, -1]],
-        [-96.0],
-        lower=0,
-    )
-    z = [0, 0, 96, 1.0]
-    assert certify(problem, z, tolerance=1e-8).verdict == "proved"
-    assert not problem.origin.recover(z, tolerance=1e-9).is_solved
-
-
 def test_the_text_of_a_row_has_its_exact_sum():
     """a·2³⁴a − 2³⁴ − 2⁸ = 2⁻²⁰ for a = 1 + 2⁻²⁷, and double precision gives 0."""
     a = 1.0 + 2.0**-27

@@ -164,11 +164,6 @@ def test_a_mistake_inside_of_the_user_s_function_stays_a_mistake_of_python():
     assert not isinstance(caught.value, InvalidOption)
 
 
-def test_a_batch_counts_invalid_items_as_invalid():
-    batch = solve_batch(LCP(np.eye(2), [1.0, 1.0]), np.array([[1.0, 2.0], [np.nan, 1.0]]))
-    assert "1 SOLVED, 1 invalid" in repr(batch)
-
-
 def test_columns_of_batches_of_contacts_are_vectors():
     """Velocities of shape (B, n, 1) and friction of shape (B, 1) are those of (B, n) and (B, k)."""
     b = np.array([[-1.0, 3.0, 4.0, -1.0, 0.3, 0.0], [-1.0, 0.0, 0.1, -2.0, 0.0, 0.0]])

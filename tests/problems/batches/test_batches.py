@@ -19,6 +19,7 @@ from lcp_plugin import (
     NonlinearProblem,
     QuadraticProgram,
     Status,
+    certify,
     solve,
     solve_batch,
     trace,
@@ -130,7 +131,6 @@ def test_shapes_that_do_not_fit_are_refused(call, words):
 
 def test_batches_of_nothing_of_one_and_of_sparse_matrices():
     """No problem at all, no unknowns, one problem without an axis in front, a sparse M for all, boxes as numbers."""
-    assert len(solve_batch([])) == 0
     assert solve_batch(np.zeros((0, 3, 3)), np.zeros((0, 3))).z.shape == (0, 3)
     assert solve_batch(np.zeros((2, 0, 0)), np.zeros((2, 0))).all_solved
     M, q = definite_stack(6, 5)
@@ -226,11 +226,14 @@ def test_the_starts_of_a_batch_choose_among_solutions():
 
 
 def test_conditions_of_a_program_have_one_status_alone_and_in_a_batch():
-    """At (0, 0, 96) the conditions hold, and (0, 48, 0) costs 4e-9 less: one status for one and for 40 copies."""
+    """At (0, 0, 96) the conditions are proved, and (0, 48, 0) costs 4e-9 less: one status for one and for 40 copies."""
     c = [1.0000000009313226, 1.9999999944120646, 1.0000000009313226]
     P, G = np.diag([2.0**-23, 0, 0]), [[0.0, -2, -1]]
     problems = [LCP.from_qp(P, c, G, [-96.0], lower=0) for _ in range(40)]
     assert {*solve_batch(problems).status} == {solve(problems[0]).status} == {Status.SOLVED}
+    z = [0, 0, 96, 1.0]
+    assert certify(problems[0], z, tolerance=1e-8).verdict == "proved"
+    assert not problems[0].origin.recover(z, tolerance=1e-9).is_solved
 
 
 def test_objectives_of_a_batch_and_of_a_path_have_the_sense_of_their_programs():

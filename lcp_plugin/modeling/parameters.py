@@ -147,12 +147,12 @@ class ModelDerivative:
             matrix, defining, solved = self._definitions
             moved[elimination.columns] = -solved(rows[defining], "N")
             rows = rows + matrix @ moved
-        h = model.square.signs * rows[self._left]
+        h = model.square.signs * rows[model.square.numbers(rows.size)]
         dlower, dupper = np.split(self._bounds @ changed, 2)
         of_friction = {"dfriction": self._friction @ changed} if model.friction else {}
         dz = at.jvp(dq=h, dlower=dlower, dupper=dupper, **of_friction)
         dw = elimination.expand_slack(at.dw(dz, dq=h))
-        du = moved + elimination.expand_change(dz)
+        du = moved + elimination.expansion @ dz
         values = model.split(du)
         changes_by_owner = {variable: values[variable.id] for variable in model.variables}
         for report in model.reports:
@@ -191,7 +191,7 @@ class ModelDerivative:
         g = elimination.expansion.T @ by_unknown
         gradient = self._at.vjp(g, by_slack[elimination.kept])
         rows = np.zeros(self._rows.size)
-        rows[self._left] = model.square.signs * gradient.q
+        rows[model.square.numbers(rows.size)] = model.square.signs * gradient.q
         if self._definitions is not None:
             matrix, defining, solved = self._definitions
             rows[defining] = -solved((by_unknown + matrix.T @ rows)[elimination.columns], "T")
@@ -246,13 +246,6 @@ class ModelDerivative:
         """The positions of the rows of pairs and equations among the parametric expressions."""
         spans = [self._parametric.spans[id(function)] for function in self._functions]
         return np.r_[0:0, *spans]
-
-    @derived_property
-    def _left(self) -> Indices:
-        """The row of the model that each row of the LCP is, up to its sign."""
-        square = self._model.square
-        definitions = square.stored[0].shape[0] + square.elimination.rows
-        return np.delete(np.arange(self._rows.size), definitions)[square.places]
 
     @derived_property
     def _definitions(self) -> tuple[sp.csr_array, Indices, Any] | None:

@@ -65,10 +65,6 @@ class Elimination:
         """Return the sum of the sizes of the terms of each unknown."""
         return np.asarray(abs(self.expansion) @ np.abs(z) + np.abs(self.offset))
 
-    def expand_change(self, dz: Vector) -> Vector:
-        """Return the change of all unknowns."""
-        return np.asarray(self.expansion @ dz)
-
     def expand_slack(self, w: Vector) -> Vector:
         """Return w with 0 for the unknowns that belong to an equation."""
         whole = np.zeros(self.offset.size)

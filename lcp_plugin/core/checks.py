@@ -344,6 +344,12 @@ def change_of_vector(
     return checked_vector(values, name, n)
 
 
+def change_of_slack(dM: AnyMatrix, dq: ArrayLike | None, z: Vector) -> Vector:
+    """Return dM z + dq, the change of M z + q for changes of M and q."""
+    change = change_of_vector(dq, "dq", z.size)
+    return change if dM is None else change + rectangular_matrix(dM, "dM", z.size, z.size) @ z
+
+
 def changes_by_name(jvp: Decorated) -> Decorated:
     """Decorate a method whose arguments are changes by name: other arguments raise InvalidOption."""
     known = [*(jvp.__kwdefaults__ or {})]

@@ -946,7 +946,7 @@ class Derivative(LinearizedSystem):
         >>> kink.is_unique, kink.degenerate, kink.jvp(dq=[-1.0]), kink.jvp(dq=[1.0])
         (False, array([0]), array([0.5]), array([0.]))
         """
-        h, moved = self._change(dM, dq), self._moved(dlower, dupper)
+        h, moved = checks.change_of_slack(dM, dq, self.z), self._moved(dlower, dupper)
         if self._rows.degenerate.any():
             return one_sided(self.problem, self._rows, h, moved)
         return self.tangent(h, np.where(self._rows.free, 0.0, moved))
@@ -954,7 +954,7 @@ class Derivative(LinearizedSystem):
     def dw(self, dz: ArrayLike, *, dM: AnyMatrix = None, dq: Array = None) -> Vector:
         """Return the change of w = M z + q for a change dz of z, shape (n,)."""
         dz = checks.checked_vector(dz, "dz", self.problem.n)
-        return self._product(dz) + self._change(dM, dq)
+        return self._product(dz) + checks.change_of_slack(dM, dq, self.z)
 
     @public
     def vjp(self, g: ArrayLike, gw: ArrayLike | None = None) -> Gradient:
@@ -982,12 +982,6 @@ class Derivative(LinearizedSystem):
         sides = self.free, self._rows.is_upper
         by_q, lower, upper = gradients_by_data(self, g, by_w, *sides)
         return Gradient(by_q, lower, upper, outer_on_pattern(problem.matrix, by_q, self.z))
-
-    def _change(self, dM: AnyMatrix, dq: ArrayLike | None) -> Vector:
-        """Return dM z + dq."""
-        n = self.problem.n
-        h = checks.change_of_vector(dq, "dq", n)
-        return h if dM is None else h + checks.rectangular_matrix(dM, "dM", n, n) @ self.z
 
     def _moved(self, dlower: ArrayLike | None, dupper: ArrayLike | None) -> Vector:
         """Return the change of the active or, for free rows, the nearer bound."""

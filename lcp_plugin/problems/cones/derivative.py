@@ -214,20 +214,18 @@ class ConeDerivative:
         problem, n = self.problem, self.problem.n
         low = checks.change_of_vector(dlower, "dlower", n)
         high = checks.change_of_vector(dupper, "dupper", n)
-        if dfriction is None:
-            slopes = np.zeros(n)
-        elif problem.has_friction:
-            k = problem.slope.size - problem.equations
-            friction = np.full(k, dfriction) if checks.is_number(dfriction) else dfriction
-            friction = checks.checked_vector(friction, "dfriction", k)
-            slopes = np.append(friction, np.zeros(problem.equations))[problem.block_of_row]
-        else:
+        if dfriction is not None and not problem.has_friction:
             raise InvalidOption("dfriction is of a FrictionalContact; a ConeProblem has none")
+        p = problem.equations
+        k = problem.slope.size - p
+        friction = checks.change_of_vector(dfriction, "dfriction", k, may_be_number=True)
+        slopes = np.append(friction, np.zeros(p))[problem.block_of_row]
+        h = checks.change_of_slack(dM, dq, self.z)
 
         def change(of: StackDerivative) -> Vector:
             """Return dz with the selected generalized derivative."""
             of_bounds = self._by_bound(self._holds(of), low, high)[None]
-            return of.tangent(self._moved(dq, dM)[None], of_bounds, of.by_friction * slopes)[0]
+            return of.tangent(h[None], of_bounds, of.by_friction * slopes)[0]
 
         dz, is_there = change(self._of), (self.z <= problem.lower, self.z >= problem.upper)
         # A wider cone places z as a larger normal force does
@@ -237,7 +235,8 @@ class ConeDerivative:
             self.z[first] * slopes[first] / np.where(problem.slope > 0.0, problem.slope, np.inf)
         )
         for _ in range(PIECES if self.degenerate.size else 0):
-            piece = self._of.branch_towards((dz + moved)[None], self.dw(dz, dq=dq, dM=dM)[None])
+            dw = problem.rows.csr @ dz + h
+            piece = self._of.branch_towards((dz + moved)[None], dw[None])
             last, dz = dz, change(piece)
             if np.abs(dz - last).max(initial=0.0) <= ALIKE * np.abs(dz).max(initial=0.0):
                 break
@@ -251,13 +250,7 @@ class ConeDerivative:
 
     def dw(self, dz: ArrayLike, *, dq: Array = None, dM: AnyMatrix = None) -> Vector:
         """Return the change of w = M z + q for a change dz of z, shape (n,)."""
-        return self.problem.rows.csr @ np.asarray(dz) + self._moved(dq, dM)
-
-    def _moved(self, dq: ArrayLike | None, dM: AnyMatrix) -> Vector:
-        """Return dM z + dq."""
-        n = self.problem.n
-        change = checks.change_of_vector(dq, "dq", n)
-        return change if dM is None else change + checks.rectangular_matrix(dM, "dM", n, n) @ self.z
+        return self.problem.rows.csr @ np.asarray(dz) + checks.change_of_slack(dM, dq, self.z)
 
     def vjp(self, g: ArrayLike, gw: ArrayLike | None = None) -> ConeGradient:
         """Return the gradients of a function L, with g = ∂L/∂z and gw = ∂L/∂w (default 0), (n,)."""

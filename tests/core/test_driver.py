@@ -8,13 +8,14 @@ import signal
 from collections.abc import Iterator
 from dataclasses import dataclass
 from itertools import pairwise
-from typing import Any, ClassVar
+from typing import ClassVar
 
 import numpy as np
 import pytest
 import scipy.sparse as sp
 from inputs import membranes
 from inputs.families import BOUNDED, DIRECT
+from inputs.scripted import TWO, Scripted
 
 from lcp_plugin import (
     LCP,
@@ -33,27 +34,6 @@ from lcp_plugin.algorithms import REGISTRY, Algorithm, Step, create
 
 EXAMPLE = gallery.build("paper_example_1", n=400)
 OBSTACLE = gallery.build("obstacle_2d", size=20)
-
-
-@dataclass(frozen=True, kw_only=True)
-class Scripted(Algorithm):
-    """Yields the given iterates, then repeats the last one."""
-
-    name: ClassVar[str] = "scripted"
-    points: tuple[tuple[float, ...], ...]
-    claimed_residual: float | None = None
-    interrupt_at: int = -1
-
-    def iterates(self, problem: LCP, z0: np.ndarray) -> Iterator[Step]:
-        for k, point in enumerate(self.points):
-            if k == self.interrupt_at:
-                signal.raise_signal(signal.SIGINT)
-            yield Step(np.array(point), self.claimed_residual)
-        while True:
-            yield Step(np.array(self.points[-1]), self.claimed_residual)
-
-
-TWO = LCP([[2.0, 1.0], [1.0, 2.0]], [-5.0, 1.0])  # solved by (2.5, 0)
 
 
 def test_an_honest_iterate_is_solved_whatever_ends_the_run():
@@ -256,17 +236,6 @@ def test_a_watched_small_problem_needs_no_run(monkeypatch, name):
     assert [sample.iteration for sample in watched.history] == [0, plain.iterations]
     assert watched.history[-1].residual <= watched.tolerance
     assert not plain.history
-
-
-@pytest.mark.parametrize("name", SMALL)
-def test_a_callback_ends_a_small_problem_at_its_start(name):
-    """It is called once, at the start, which is the result; another type than a function is an InvalidOption."""
-    seen: list[Any] = []
-    result = solve(SMALL[name], callback=lambda sample, z: seen.append(z) or True)
-    assert result.status is Status.INTERRUPTED
-    assert len(seen) == 1
-    with pytest.raises(InvalidOption, match="callback must be callable"):
-        solve(SMALL[name], record=True, callback=5)
 
 
 def test_callback_stops_the_run_and_cannot_write():

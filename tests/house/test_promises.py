@@ -8,11 +8,9 @@ import re
 import signal
 import subprocess
 import sys
-from collections.abc import Iterator
 from contextlib import suppress
-from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, ClassVar
+from typing import Any
 
 import numpy as np
 import pytest
@@ -20,6 +18,7 @@ import scipy.optimize
 import scipy.sparse as sp
 from inputs import membranes
 from inputs.families import BOUNDED
+from inputs.scripted import TWO, Scripted
 from oracles.relations import bits, data_of, surroundings
 
 from lcp_plugin import (
@@ -35,7 +34,7 @@ from lcp_plugin import (
     solve,
     solve_batch,
 )
-from lcp_plugin.algorithms import REGISTRY, Algorithm, Step
+from lcp_plugin.algorithms import REGISTRY
 
 TESTS = Path(__file__).parents[1]
 PAGE = (
@@ -45,7 +44,6 @@ PAGE = (
 )
 ALL = ["auto", *REGISTRY]
 EVERY_ALGORITHM = pytest.mark.parametrize("name", ALL)
-TWO = LCP([[2.0, 1.0], [1.0, 2.0]], [-5.0, 1.0])
 
 
 def promises() -> list[str]:
@@ -67,21 +65,10 @@ def test_every_promise_has_its_test_and_every_test_its_promise():
     assert {*promises()} == {*quoted()}
 
 
-@dataclass(frozen=True, kw_only=True)
-class Claiming(Algorithm):
-    """Returns its start and claims a residual of zero."""
-
-    name: ClassVar[str] = "claiming"
-    is_monotone: ClassVar[bool] = False
-
-    def iterates(self, problem: LCP, z0: np.ndarray) -> Iterator[Step]:
-        for _ in range(5):
-            yield Step(np.full(problem.n, 0.25), residual=0.0, increment=0.0)
-
-
 def test_solved_is_measured():
     """“SOLVED is verified”: claims change nothing; the residual is computed from the data."""
-    assert not solve(TWO, Claiming()).is_solved
+    claims = Scripted(points=((0.25, 0.25),), claimed_residual=0.0)
+    assert not solve(TWO, claims).is_solved
     result = solve(TWO)
     w = np.array([[2.0, 1.0], [1.0, 2.0]]) @ result.z + [-5.0, 1.0]
     r = result.z - np.maximum(result.z - w / 2.0, 0.0)
@@ -89,24 +76,12 @@ def test_solved_is_measured():
     assert abs(r).max() <= result.tolerance * 2.5  # r(0) = (−2.5, 0)
 
 
-@dataclass(frozen=True, kw_only=True)
-class FarAway(Algorithm):
-    """Goes to a point where doubles cannot see the residual."""
-
-    name: ClassVar[str] = "far away"
-    is_monotone: ClassVar[bool] = False
-
-    def iterates(self, problem: LCP, z0: np.ndarray) -> Iterator[Step]:
-        yield Step(z0)
-        yield Step(np.array([2001613005325266.0, 6004839015975798.0, 0.0]))
-
-
 def test_rounding_hides_no_residual():
     """“SOLVED is verified”: not if z is so large that M z + q rounds from 2 to 0."""
     infeasible = LCP([[9.0, -3.0, 6.0], [-3.0, 1.0, -2.0], [6.0, -2.0, 4.0]], [-2.0, 0.0, 0.0])
-    far = np.array([2001613005325266.0, 6004839015975798.0, 0.0])
+    far = (2001613005325266.0, 6004839015975798.0, 0.0)
     assert Certificate.of(infeasible, far).relative_residual > 0.4  # for any order of BLAS sums
-    result = solve(infeasible, FarAway())
+    result = solve(infeasible, Scripted(points=((0.0, 0.0, 0.0), far)))
     assert not result.is_solved
     assert result.status is not Status.PRECISION_LIMIT
     # here the large z is right

@@ -578,11 +578,7 @@ def test_each_option_is_taken_or_refused_in_words(sample, name, capsys):
     assert bool(capsys.readouterr().out) == (name == "verbose")
 
 
-def kinds_with_callback() -> list[Sample]:
-    return [sample for sample in SOLVABLE if sample.kind != "BoundedLeastSquares"]
-
-
-@pytest.mark.parametrize("sample", kinds_with_callback(), ids=repr)
+@pytest.mark.parametrize("sample", SOLVABLE, ids=repr)
 @pytest.mark.parametrize("how", ["a true value", "Ctrl-C"])
 def test_a_callback_ends_the_run(sample, how):
     """A true return value, or Ctrl-C, ends the run with INTERRUPTED and the best point so far."""

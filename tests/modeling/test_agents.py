@@ -113,27 +113,6 @@ def test_the_bilevel_program_of_bards_book_has_its_value():
     np.testing.assert_allclose([x.value, y.value], [1.0, 0.0], atol=1e-6)
 
 
-def shared_row(is_shared: bool) -> tuple[Any, Any, Any, list[Any]]:
-    """Return two agents with x + y ≤ 4, as one multiplier or as two."""
-    x, y = cp.Variable(), cp.Variable()
-    row = x + y <= 4
-    listed = [row] if is_shared else []
-    agents = [
-        optimal(cp.Problem(cp.Minimize(x**2 - 8 * x), [row]), over=[x], shared=listed),
-        optimal(cp.Problem(cp.Minimize(y**2 - 6 * y), [row]), over=[y], shared=listed),
-    ]
-    return x, y, row, agents
-
-
-def test_a_shared_constraint_gives_the_variational_equilibrium():
-    """The agents min x² − 8x and min y² − 6y with x + y ≤ 4 have (2.5, 1.5), and one multiplier of 3."""
-    x, y, row, agents = shared_row(is_shared=True)
-    solved(agents)
-    np.testing.assert_allclose([x.value, y.value], [2.5, 1.5], rtol=1e-9)
-    assert float(row.dual_value) == pytest.approx(3.0)
-    assert [float(one.dual_value[0]) for one in agents] == pytest.approx([3.0, 3.0])
-
-
 SHARED_BY_TWO = {
     "entries": lambda x: x[0] + x[1] <= 4,
     "a matrix": lambda x: np.array([1.0, 1.0, 0.0]) @ x <= 4,
@@ -144,7 +123,10 @@ SHARED_BY_TWO = {
 
 @pytest.mark.parametrize("form", SHARED_BY_TWO)
 def test_agents_with_entries_of_one_vector_share_a_row_that_holds_their_entries(form):
-    """Two of three agents share x₀ + x₁ ≤ 4; the third one has no entry in it, and its own minimum."""
+    """The two agents min x₀² − 8x₀ and min x₁² − 6x₁ share x₀ + x₁ ≤ 4 with one multiplier of 3.
+
+    The third agent has no entry in the row, and its own minimum.
+    """
     x = cp.Variable(3, value=np.ones(3))
     row = SHARED_BY_TWO[form](x)
     goals = [x[0] ** 2 - 8 * x[0], x[1] ** 2 - 6 * x[1], (x[2] - 2) ** 2]
@@ -154,6 +136,9 @@ def test_agents_with_entries_of_one_vector_share_a_row_that_holds_their_entries(
     agents.append(optimal(cp.Problem(cp.Minimize(goals[2])), over=[x[2]]))
     solved(agents)
     np.testing.assert_allclose(x.value, [2.5, 1.5, 2.0], atol=1e-6)
+    if form in ("entries", "a matrix"):
+        assert float(row.dual_value) == pytest.approx(3.0)
+        assert [float(one.dual_value[0]) for one in agents[:2]] == pytest.approx([3.0, 3.0])
     third = optimal(cp.Problem(cp.Minimize(goals[1])), over=[x[1]])
     with pytest.raises(UnsupportedModel, match="does not share it"):
         cp.Problem(cp.Minimize(0), [agents[0], third]).solve(method="LCP")

@@ -71,9 +71,9 @@ WHOLE = content_of(
         (INFEASIBLE, [], 200, "infeasible"), (EMPTY, [], 200, "infeasible"), (UNBOUNDED, [], 300, "unbounded"),
         (STIFF, ["algorithm=psor", "max_iterations=2"], 400, "max_iterations"),
         (STIFF, ["algorithm=psor", "max_seconds=1e-9"], 401, "max_seconds"),
-        (WHOLE, [], 500, "variable 0 is an integer"),
+        (WHOLE, [], 500, "variable 0 is an integer"), (SOLVABLE, ["algorithm=psr"], 500, "did you mean 'psor'"),
     ],
-    ids=["solved", "at 0", "no signs", "empty", "unbounded", "iterations", "seconds", "integer"],
+    ids=["solved", "at 0", "no signs", "empty", "unbounded", "iterations", "seconds", "integer", "algorithm"],
 )  # fmt: skip
 def test_codes_say_how_it_ended(tmp_path, content, words, code, message):
     """AMPL's ranges: 0 solved, 100 less precisely, 200 infeasible, 300 unbounded, 400 limit, 500 failure."""
@@ -155,13 +155,6 @@ def test_an_objective_beside_complementarities_is_answered(tmp_path, content, wo
         assert found.values is None
 
 
-def test_an_option_that_does_not_fit_is_told_in_the_sol(tmp_path):
-    """An algorithm that nobody knows is in the .sol where one is asked for, else on stderr."""
-    write_nl(SOLVABLE, tmp_path / "m.nl")
-    assert ampl.main([str(tmp_path / "m"), "-AMPL", "algorithm=psr"]) == 0
-    assert "did you mean 'psor'" in read_sol(tmp_path / "m.sol").message
-
-
 @pytest.mark.full
 def test_ctrl_c_keeps_the_best_solution_of_a_search(tmp_path):
     """SIGINT to the executable while it searches: code 402, the best solution in the .sol, exit code 0."""
@@ -212,18 +205,17 @@ def test_a_wrong_call_is_one_line_and_a_code(tmp_path, capsys, monkeypatch, word
     assert not list(tmp_path.rglob("*.sol"))
 
 
-def test_assignments_may_have_quotes():
-    """key=value, several in one word."""
-    found = ampl.assigned("tolerance=1e-3 outlev=1 max_seconds=7 algorithm='psor'")
-    assert found == {"tolerance": 1e-3, "outlev": 1, "max_seconds": 7, "algorithm": "psor"}
-
-
 @pytest.mark.parametrize(
-    "text", ["max_seconds 5 version outlev 0", "max_seconds = 5 version outlev= 0"]
-)
-def test_assignments_may_have_a_blank_for_the_equals_sign(text):
-    """Key value, as modeling systems also send it; `version` has no value."""
-    assert ampl.assigned(text) == {"max_seconds": 5, "version": 1, "outlev": 0}
+    ("text", "found"),
+    [
+        ("tolerance=1e-3 outlev=1 algorithm='psor'", {"tolerance": 1e-3, "outlev": 1, "algorithm": "psor"}),
+        ("max_seconds 5 version outlev 0", {"max_seconds": 5, "version": 1, "outlev": 0}),
+        ("max_seconds = 5 version outlev= 0", {"max_seconds": 5, "version": 1, "outlev": 0}),
+    ],
+)  # fmt: skip
+def test_assignments_may_have_quotes_and_a_blank_for_the_equals_sign(text, found):
+    """key=value or key value, several in one word, as modeling systems also send it; `version` has no value."""
+    assert ampl.assigned(text) == found
 
 
 @pytest.mark.parametrize(

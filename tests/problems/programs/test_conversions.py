@@ -65,18 +65,17 @@ def planted(seed: int, m: int = 4, p: int = 2, singletons: int = 0) -> QPSolutio
     return QPSolution(program, x, inequality, equality, at_lower, at_upper)
 
 
-def vars_of(solution: QPSolution) -> tuple[Any, Any, Any, Any]:
-    return solution.inequality, solution.equality, solution.lower, solution.upper
-
-
 @pytest.mark.parametrize("seed", SEEDS)
-def test_direct_form_solved_and_recovered(seed):
+@pytest.mark.parametrize(
+    ("sizes", "form", "algorithm"), [((0, 0, 3), "direct", "psor"), ((4, 2, 1), "kkt", "auto")]
+)
+def test_planted_multipliers_are_recovered(seed, sizes, form, algorithm):
     """A program with bounds and singleton rows only is the direct problem of n rows, and PSOR solves it."""
-    answer = planted(seed, m=0, p=0, singletons=3)
+    answer = planted(seed, *sizes)
     problem = LCP.from_qp(answer.program)
-    assert problem.origin.form == "direct"
-    assert problem.n == answer.program.n
-    found = problem.origin.recover(solve(problem, "psor", **TIGHT).require_solved()).solution
+    assert problem.origin.form == form
+    assert (problem.n == answer.program.n) == (form == "direct")
+    found = problem.origin.recover(solve(problem, algorithm, **TIGHT).require_solved()).solution
     assert_agree(found, answer, 1e-6)
 
 
@@ -109,40 +108,6 @@ def test_origins_survive_pickling():
         z = np.linspace(0, 1, problem.n)
         copy = pickle.loads(pickle.dumps(problem.origin))
         np.testing.assert_array_equal(copy.recover(z).x, problem.origin.recover(z).x)
-
-
-# --- Against cvxpy -----------------------------------------------------------------------------------------
-
-
-TIGHTLY = {  # an interior point is off by the root of its tolerance where a row is degenerate
-    "CLARABEL": {"tol_gap_abs": 1e-12, "tol_gap_rel": 1e-12, "tol_feas": 1e-12},
-    "OSQP": {"eps_abs": 1e-10, "eps_rel": 1e-10},
-}
-
-
-@pytest.mark.parametrize(("solver", "accuracy"), [("CLARABEL", 1e-4), ("OSQP", 1e-5)])
-@pytest.mark.parametrize("seed", SEEDS)
-def test_agrees_with_cvxpy(seed, solver, accuracy):
-    """x, the objective and the signs of all multipliers are those that cvxpy reports."""
-    answer = planted(seed, singletons=1)
-    program = answer.program
-    x = cp.Variable(program.n)
-    constraints = [
-        program.G @ x <= program.h,
-        program.A @ x == program.b,
-        x >= program.lower,
-        x <= program.upper,
-    ]
-    reference = cp.Problem(
-        cp.Minimize(0.5 * cp.quad_form(x, cp.psd_wrap(program.P)) + program.c @ x), constraints
-    )
-    reference.solve(solver=solver, **TIGHTLY[solver])
-    problem = LCP.from_qp(program)
-    ours = problem.origin.recover(solve(problem, **TIGHT).require_solved()).solution
-    assert ours.objective == pytest.approx(reference.value, rel=1e-6, abs=1e-6)
-    np.testing.assert_allclose(ours.x, x.value, atol=accuracy)
-    for mine, theirs in zip(vars_of(ours), constraints, strict=True):
-        np.testing.assert_allclose(mine, theirs.dual_value, atol=20 * accuracy)
 
 
 # --- Back again --------------------------------------------------------------------------------------------
@@ -369,12 +334,7 @@ def test_conditions_without_rows_end_where_the_plain_problem_ends(algorithm):
 
 @pytest.mark.parametrize(
     ("family", "number"),
-    [
-        ("huge bounds", 4000000000664),
-        ("large P", 4000000001289),
-        ("graded rows", 4000000001975),
-        ("large P", 4000000002315),
-    ],
+    [("large P", 4000000001289), ("graded rows", 4000000001975), ("large P", 4000000002315)],
 )
 def test_conditions_of_a_program_of_low_rank_are_solved_at_its_value(family, number):
     """P is singular up to rounding, and PIQP ends up to 7e8 away: rows hold to 1e-8, the objective was -29 for -2.6."""

@@ -153,16 +153,6 @@ def test_planted_degenerate_rows_are_named(drawn, seed):
     assert not (gradient.lower * gradient.upper).any()
 
 
-def test_one_sided_derivatives_differ_by_side():
-    """z(q) of a 1 × 1 problem has slope −½ on one side and 0 on the other; both bounds, and by the bound as well."""
-    below = found_of(LCP([[2.0]], [0.0]))
-    assert (below.jvp(dq=[-1.0]), below.jvp(dq=[1.0])) == (0.5, 0.0)
-    assert (below.jvp(dlower=1.0), below.jvp(dlower=-1.0)) == (1.0, 0.0)
-    above = found_of(LCP([[2.0]], [-2.0], lower=-np.inf, upper=1.0))
-    assert (above.jvp(dq=[-1.0]), above.jvp(dq=[1.0])) == (0.0, -0.5)
-    assert (above.jvp(dupper=1.0), above.jvp(dupper=-1.0)) == (0.0, -1.0)
-
-
 def test_a_row_is_degenerate_to_the_rounding_of_others():
     """Row 0 with w₀ = z₁ is degenerate if z₁ = 0 is 4e-16 because of cancellation with z₂ = 3."""
     problem = LCP(

@@ -9,7 +9,6 @@ from typing import Any
 import cvxpy as cp
 import numpy as np
 import pytest
-from campaigns.least_squares import bounded_least_squares
 from inputs.small_families import falling_bodies
 from inputs.textbook_scenes import scaling_trap
 
@@ -152,17 +151,6 @@ def test_a_start_that_is_the_solution_is_named(size, algorithm):
     assert words in again.explain()
     assert "0 iterations" in again.explain()
     assert words not in answer.explain()
-
-
-def test_least_squares_that_stop_are_told_what_helps():
-    """The advice at a limit names x0=result.x, from which the run continues."""
-    rng = np.random.default_rng(0)
-    A = rng.standard_normal((400, 300)) @ np.diag(np.logspace(0, -4, 300))
-    b = rng.standard_normal(400)
-    first = bounded_least_squares(A, b, max_iterations=0)
-    assert first.status is Status.MAX_ITERATIONS
-    assert "continue from x0=result.x" in first.advice
-    assert bounded_least_squares(A, b, x0=first.x).is_solved
 
 
 def test_an_equation_too_many_is_told_the_way_out():

@@ -79,9 +79,14 @@ def chain(n: int, rng: Generator) -> tuple[Matrix, Matrix]:
     return M, rng.normal(size=n)
 
 
+def lower_triangle(n: int) -> Matrix:
+    """Murty's matrix: 1 on the diagonal, 2 below."""
+    return np.eye(n) + 2.0 * np.tril(np.ones((n, n)), -1)
+
+
 def murty(n: int, rng: Generator) -> tuple[Matrix, Matrix]:
     """Exponential for pivoting; Fathi's is its product with the transpose."""
-    L = np.eye(n) + 2.0 * np.tril(np.ones((n, n)), -1)
+    L = lower_triangle(n)
     return (L, L.T, L @ L.T)[rng.integers(3)], -np.ones(n)
 
 

@@ -13,6 +13,7 @@ from collection import all_entries
 from hypothesis import given
 from hypothesis import strategies as st
 from inputs.planted import planted_lcp
+from inputs.small_families import lower_triangle
 from oracles.truth import SOLVABLE
 from scipy.optimize import linear_sum_assignment
 from scipy.sparse.linalg import spsolve
@@ -95,14 +96,10 @@ def test_the_end_of_a_path_is_solved_again_before_it_is_judged():
 # --- families ---------------------------------------------------------------------------------------------------
 
 
-def murty(n: int) -> np.ndarray:
-    return np.eye(n) + 2.0 * np.tril(np.ones((n, n)), -1)
-
-
 FAMILIES: dict[str, Callable[[int], np.ndarray]] = {
-    "Murty": murty,
-    "Murty, transposed": lambda n: murty(n).T.copy(),
-    "Fathi": lambda n: murty(n) @ murty(n).T,
+    "Murty": lower_triangle,
+    "Murty, transposed": lambda n: lower_triangle(n).T.copy(),
+    "Fathi": lambda n: lower_triangle(n) @ lower_triangle(n).T,
     "Csizmadia": lambda n: np.eye(n) - np.tril(np.ones((n, n)), -1),
 }
 

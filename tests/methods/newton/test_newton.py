@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 import scipy.sparse as sp
 from inputs.planted import planted_lcp
-from inputs.small_families import draw
+from inputs.small_families import draw, lower_triangle
 from oracles.exact_criterion import failures
 
 from lcp_plugin import LCP, Status, solve
@@ -17,11 +17,6 @@ from lcp_plugin.algorithms import Newton
 from lcp_plugin.gallery.problems import five_point_matrix
 
 TOLERANCE = 1e-9
-
-
-def lower_triangle(n: int) -> np.ndarray:
-    """Murty's matrix: 1 on the diagonal, 2 below."""
-    return 2.0 * np.tril(np.ones((n, n)), -1) + np.eye(n)
 
 
 # --- Newton ------------------------------------------------------------------------------------------------

@@ -33,13 +33,14 @@ def test_watching_a_run_changes_nothing(family, draws):
 
 @pytest.mark.parametrize("family", FAMILIES)
 def test_no_solved_point_is_a_lie(family, draws):
-    """Exact arithmetic confirms the residual of each SOLVED point, and a batch has the same statuses."""
+    """Exact arithmetic confirms the residual of each SOLVED point, and a batch of any sizes has the same statuses."""
     problems = draw(family, len(draws(12, 2)), 8)
     results = [solve(drawn) for drawn in problems]
     for drawn, result in zip(problems, results, strict=True):
         assert not result.is_solved or not ExactData(drawn).is_lie(result.z, 1e-8)
     batch = solve_batch(problems)
     assert [result.status for result in results] == list(batch.status)
+    assert isinstance(batch.z, list) or len({drawn.n for drawn in problems}) == 1
     for k in range(len(problems)):
         assert batch[k].status is batch.status[k]
 

@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 import pytest
 import scipy.sparse as sp
-from inputs.small_families import FAMILIES, definite_stack, draw, told
+from inputs.small_families import definite_stack, told
 from tools.refusals import assert_refused, refusals
 
 from lcp_plugin import (
@@ -69,16 +69,6 @@ def test_solve_batch_of_large_problems_gives_blas_one_thread():
             ),
         )
     assert set(seen) == {1}
-
-
-@pytest.mark.parametrize("family", FAMILIES)
-def test_a_batch_of_any_sizes_and_kinds(family, draws):
-    """A list of LCPs of different sizes: each has the status of its own run, solvable or not."""
-    problems = draw(family, len(draws(10, 2)), 9)
-    batch = solve_batch(problems)
-    assert isinstance(batch.z, list) or len({drawn.n for drawn in problems}) == 1
-    for drawn, result in zip(problems, batch, strict=True):
-        assert result.status is solve(drawn).status
 
 
 def test_a_bad_problem_costs_that_one_alone():

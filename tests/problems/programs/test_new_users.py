@@ -12,7 +12,6 @@ import pytest
 import scipy.sparse as sp
 
 from lcp_plugin import (
-    InvalidOption,
     InvalidProblem,
     QPSolver,
     QuadraticProgram,
@@ -92,8 +91,6 @@ def test_the_tolerance_is_the_one_that_is_tested():
     found = solve(program).solution
     assert found.is_optimal(1e-4)
     assert not type(found).of_rows(off, found.x, found.multipliers).is_optimal(1e-4)
-    with pytest.raises(InvalidOption, match="polish"):
-        solve(program, polish=False)
 
 
 @pytest.mark.filterwarnings("ignore:Solution may be inaccurate")

@@ -45,12 +45,7 @@ def forged(y: Sequence[Any]) -> Iterator[list[Fraction]]:
 
 def product(matrix: Any, y: Numbers) -> list[Fraction]:
     """Return Mᵀy in fractions."""
-    rows = np.asarray(matrix, dtype=float).tolist()
-    n = len(rows[0])
-    return [
-        sum((Fraction(row[j]) * v for row, v in zip(rows, y, strict=True)), Fraction(0))
-        for j in range(n)
-    ]
+    return [dot(column, y) for column in np.asarray(matrix, dtype=float).T]
 
 
 def dot(q: Any, y: Numbers) -> Fraction:

@@ -509,8 +509,6 @@ def beside_pairs(kind: str, at: float) -> NLContent:
     one = replace(one, lower=np.array([0.0, -INFINITY]))
     if kind == "inequality":
         return replace(one, row_upper=np.array([INFINITY, math.exp(at)]))
-    if kind == "bound of its own":
-        return replace(one, upper=np.array([at, INFINITY]))
     equation = content_of(2, [("-", X[0], 2.0), ("-", X[1], X[0])])
     return replace(
         one,
@@ -566,13 +564,11 @@ def test_lcp_load_reads_the_affine_ones(tmp_path):
         LCP.load(tmp_path / "b.nl")
 
 
-def best(bound: float = INFINITY) -> NLContent:
-    """The least x₁ of 0 ≤ x₀ ⟂ x₀ + x₁ − 1 ≥ 0, x₀ ≤ bound, x₁ ≤ bound."""
+def best() -> NLContent:
+    """The least x₁ of 0 ≤ x₀ ⟂ x₀ + x₁ − 1 ≥ 0."""
     pair = paired(content_of(2, [("-", ("+", X[0], X[1]), 1.0), 0.0]))
     objective = content_of(2, objective=0.0, objective_linear=[[0.0, 1.0]])
-    return replace(
-        pair, **objective_of(objective), partners=np.array([0, -1]), upper=np.full(2, bound)
-    )
+    return replace(pair, **objective_of(objective), partners=np.array([0, -1]))
 
 
 def test_a_side_condition_holds_as_closely_as_the_tolerance_asks():

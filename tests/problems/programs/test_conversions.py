@@ -12,6 +12,7 @@ import numpy as np
 import pytest
 import scipy.sparse as sp
 from campaigns import convex_programs
+from oracles.exact_program import dot, exact
 from tools.refusals import assert_refused, refusals
 
 from lcp_plugin import (
@@ -410,10 +411,7 @@ def test_other_vectors_are_checked(name, wrong):
 
 def exactly(row: Any, x: Any) -> Fraction:
     """Return a sum of products without rounding."""
-    return sum(
-        (Fraction(a) * Fraction(v) for a, v in zip(row.tolist(), x.tolist(), strict=True)),
-        Fraction(0),
-    )
+    return dot(exact(row), exact(x))
 
 
 @pytest.mark.parametrize("kind", [np.asarray, sp.csr_array])

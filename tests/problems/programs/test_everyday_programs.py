@@ -11,7 +11,8 @@ import pytest
 import scipy.sparse as sp
 from inputs.everyday import standing
 from numpy.random import Generator
-from oracles.exact import exact_rows, solve_fractions
+from oracles.exact import solve_fractions
+from oracles.exact_program import ExactProgram, exact
 
 from lcp_plugin import QPSolver, QuadraticProgram, Status, certify, solve
 from lcp_plugin.judges.program import KKTErrors
@@ -37,19 +38,12 @@ def regressors(kind: str, rng: Generator) -> Any:
 
 def excess(program: QuadraticProgram, x: Any) -> float:
     """Return by how much the objective at x exceeds the minimum over the equations, relative to its terms."""
-    n, point = program.n, [Fraction(value) for value in x.tolist()]
-    P, A = exact_rows(program.P), exact_rows(program.A)
-    c, b = ([Fraction(value) for value in data.tolist()] for data in (program.c, program.b))
-    K = [row + [equation[j] for equation in A] for j, row in enumerate(P)]
-    K += [row + [Fraction(0)] * len(A) for row in A]
-    best = solve_fractions(K, [-value for value in c] + b)[:n]
-
-    def terms(at: list[Fraction]) -> tuple[Fraction, Fraction]:
-        curved = sum(P[i][j] * at[i] * at[j] for i in range(n) for j in range(n))
-        return curved, sum((cost * value for cost, value in zip(c, at, strict=True)), Fraction(0))
-
-    (curved, linear), (least, offset) = terms(point), terms(best)
-    return float((curved / 2 + linear - least / 2 - offset) / (abs(curved) + abs(linear)))
+    one, point = ExactProgram.of(program), exact(x)
+    K = [row + [equation[j] for equation in one.A] for j, row in enumerate(one.P)]
+    K += [row + [Fraction(0)] * len(one.A) for row in one.A]
+    best = solve_fractions(K, [-value for value in one.c] + one.b)[: program.n]
+    curved, linear = one.terms(point)
+    return float((one.value(point) - one.value(best)) / (abs(curved) + abs(sum(linear))))
 
 
 KINDS = (

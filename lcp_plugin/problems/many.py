@@ -27,6 +27,17 @@ def item_number(k: int, count: int, hint: str = "") -> int:
     return index(k) % count
 
 
+def errors_of(items: Any, is_right: Any) -> dict[int, LCPError]:
+    """Return the errors that the wrong ones among some items raise, by their numbers."""
+    errors: dict[int, LCPError] = {}
+    for k in np.flatnonzero(~is_right).tolist():
+        try:
+            items[k]
+        except LCPError as error:
+            errors[k] = error
+    return errors
+
+
 class AnswerSequence(Sequence[T]):
     """The results of a batch, in order; ``self.at(k)`` returns item k, 0 ≤ k < len(self).
 

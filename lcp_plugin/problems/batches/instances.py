@@ -34,7 +34,7 @@ from ..cones.solving import solve_cone_stack
 from ..contact import motion_of
 from ..least_squares.data import BoundedLeastSquares, apply_to
 from ..least_squares.solving import length_of_stack, solve_least_squares_stack, suits_stack
-from ..many import bounds_of_a_batch, length_of_all, rows_of_a_batch
+from ..many import bounds_of_a_batch, errors_of, length_of_all, rows_of_a_batch
 
 WORK = 2**18  # problems times n² per stack of LCPs
 SHORTEST = 1024  # problems: the Python code of a stack takes .2 ms
@@ -252,17 +252,11 @@ class ArrayInstances(Instances):
         self.rows, self.count = rows, length_of_all(several | counts)
         if "z0" in rows and not np.isfinite(rows["z0"]).all():
             raise InvalidOption("z0 must be finite, got NaN or infinite entries")
-        self.errors: dict[int, LCPError] = {}
 
     def _find_errors(self, is_good: Any) -> None:
         """Keep the error of each problem that is not good; bounds must be consistent as well."""
-        lower, upper = self.rows["lower"], self.rows["upper"]
-        is_good = is_good & have_values(lower, upper)
-        for k in (~np.broadcast_to(is_good, self.count)).nonzero()[0].tolist():
-            try:
-                self[k]
-            except LCPError as error:
-                self.errors[k] = error
+        is_good = is_good & have_values(self.rows["lower"], self.rows["upper"])
+        self.errors = errors_of(self, np.broadcast_to(is_good, self.count))
 
     def __len__(self) -> int:
         return self.count

@@ -21,6 +21,7 @@ from ...core.lcp import LCP
 from ...core.names import format_count
 from .. import contact
 from ..contact import Bodies
+from ..many import errors_of
 from .data import Blocks
 
 NEARLY_SYMMETRIC = 1e-2  # of the largest entry: few-digit contact data differ by up to 2.5e-3
@@ -137,13 +138,7 @@ class FrictionalContactBatch:
     @property
     def errors(self) -> dict[int, LCPError]:
         """The errors of invalid instances, by their number i."""
-        errors: dict[int, LCPError] = {}
-        for i in np.flatnonzero(~self._is_stated).tolist():
-            try:
-                self[i]
-            except LCPError as error:
-                errors[i] = error
-        return errors
+        return errors_of(self, self._is_stated)
 
     def save(self, path: str | PathLike[str]) -> None:
         """Write the batch to a ``.npz`` file, which ``load_problem(path)`` reads.

@@ -179,7 +179,7 @@ class Optimal(Condition):
     """
 
     def __init__(
-        self, program: Any, decisions: Any, shared: frozenset[int], check: str, F: object = None
+        self, program: Any, decisions: Any, shared: frozenset[int], check: str, F: object
     ) -> None:
         self.program, self.decisions, self.shared, self.check = program, decisions, shared, check
         self.F = F

@@ -395,7 +395,7 @@ def warn_of_much_friction(friction: FloatArray) -> None:
 
 
 def contacts_of_bodies(
-    contacts: Any, velocities: FloatArray, equations: Any = 0
+    contacts: Any, velocities: FloatArray, equations: Any
 ) -> tuple[Any, FloatArray, Bodies, int]:
     """Return W, the velocities of its rows, the bodies, and the number of equations, from (mass, normals, tangents).
 

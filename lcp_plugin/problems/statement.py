@@ -434,7 +434,7 @@ class Statement:
         """Note that unknowns which have a pair are the variable of another pair."""
         self._repeated += columns[self.is_paired[columns]].tolist()
 
-    def named(self, rows: Rows, origin: object = None, sign: float = 1.0) -> Indices:
+    def named(self, rows: Rows, origin: object, sign: float = 1.0) -> Indices:
         """Return new unknowns, which an equation makes sign · rows."""
         first, free, zero = self.lower.size, np.full(rows.size, np.inf), np.zeros(rows.size)
         key, columns = 2**62 + first, np.arange(first, first + rows.size)

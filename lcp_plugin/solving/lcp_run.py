@@ -354,8 +354,8 @@ def run_on(
     settings: Settings,
     start: Vector,
     clock: Clock,
-    callback: Callback | None = None,
-    first: Stage | Iterator[Step] | None = None,
+    callback: Callback | None,
+    first: Stage | Iterator[Step] | None,
     known: tuple[Result, float] | None = None,
 ) -> Result:
     """Return the result of a run with a method, or with auto for None; of first steps if it is known.
@@ -366,7 +366,7 @@ def run_on(
         Within the bounds.
     clock : Clock
         Running.
-    first : Stage or iterator of Step, optional
+    first : Stage or iterator of Step, or None
         Stage before the stages of the plan, or the steps of `Algorithm.first_points` of its first stage.
     known : Result and float, optional
         With its residual; reported here; a callback that ends it at the start ends the run there.

@@ -60,8 +60,8 @@ class JosephyNewton(Algorithm):
         start: Linearization,
         linear: str | Algorithm,
         settings: Settings,
-        searches: tuple[str, ...] = tuple(SEARCHES),
-        restarts: int = RESTARTS,
+        searches: tuple[str, ...],
+        restarts: int,
     ) -> None:
         self.first = self.current = self.tried = start
         self.linear, self.settings, self.tolerance = linear, settings, settings.goal
@@ -84,7 +84,7 @@ class JosephyNewton(Algorithm):
     def iterates(self, problem: Any, z0: Any) -> Iterator[Step]:
         """Yield the start, then the point of each step, until no step or restart helps."""
         yield self.step()
-        for k, start in enumerate(chain([self.first], filter(None, self.other_starts()))):
+        for k, start in enumerate(chain([self.first], self.other_starts())):
             self.restarted = k
             for search in self.searches:
                 if k > 0:
@@ -140,29 +140,25 @@ class JosephyNewton(Algorithm):
         there = point if np.array_equal(x, point.x) else self._at(x)
         return there if there.is_defined and there.relative <= point.relative else point
 
-    def other_starts(self) -> Iterator[Linearization | None]:
-        """Yield the starts other than x₀, None for a start at which F is not defined."""
-        random = np.random.default_rng(0)
-        for k in range(self.restarts if self.first.x.size <= CHEAP_UP_TO else 0):
-            yield self.other_start(k, random)
-
-    def other_start(self, k: int, random: np.random.Generator) -> Linearization | None:
-        """Return start number k other than x₀; None if F is not defined there.
+    def other_starts(self) -> Iterator[Linearization]:
+        """Yield the starts other than x₀ at which F is defined.
 
         The first starts are the points of the bounds nearest to some numbers; every second random start is
         log-uniform above the lower bounds.
         """
         x, lower, upper = self.first.x, self.first.problem.lower, self.first.problem.upper
-        size, n = np.maximum(1.0, np.abs(x)), x.size
-        drawn = np.full(n, NEAREST_TO[min(k, 3)])
-        if k > 3:
-            drawn = x + size * random.standard_normal(n) * 0.5 * k
-        if k > 3 and k % 2:
-            common, spread = random.uniform(-3.0, 0.0), random.uniform(-1.0, 1.0, n)
-            above = lower + size * 10.0 ** (common + spread)
-            drawn = np.where(np.isfinite(lower), above, drawn)
-        point = self.first.at(np.clip(drawn, lower, upper))
-        return point if point.is_defined else None
+        size, n, random = np.maximum(1.0, np.abs(x)), x.size, np.random.default_rng(0)
+        for k in range(self.restarts if n <= CHEAP_UP_TO else 0):
+            drawn = np.full(n, NEAREST_TO[min(k, 3)])
+            if k > 3:
+                drawn = x + size * random.standard_normal(n) * 0.5 * k
+            if k > 3 and k % 2:
+                common, spread = random.uniform(-3.0, 0.0), random.uniform(-1.0, 1.0, n)
+                above = lower + size * 10.0 ** (common + spread)
+                drawn = np.where(np.isfinite(lower), above, drawn)
+            point = self.first.at(np.clip(drawn, lower, upper))
+            if point.is_defined:
+                yield point
 
     # --- one step ----------------------------------------------------------------------------------------
 

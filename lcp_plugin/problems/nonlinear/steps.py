@@ -109,7 +109,7 @@ def moved(point: Linearization, step: Vector) -> Vector:
 
 
 def lcp_step(
-    point: Linearization, linear: str | Algorithm, tolerance: float, shift: float = 0.0
+    point: Linearization, linear: str | Algorithm, tolerance: float, shift: float
 ) -> Vector | None:
     """Return a solution d of the LCP of (M + shift D) d + F(x) on the bounds of d, or None.
 

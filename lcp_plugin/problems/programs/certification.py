@@ -205,9 +205,9 @@ def _certify_other(
         if isinstance(x, BaseResult):  # without a solution, of the best point
             x = getattr(x, "certificate", x).z if x.has_no_solution else x.x
         return certify_point(problem, checked_vector(x, "x", problem.n), tolerance)
-    if name is not None or isinstance(problem, (BaseResult, QPSolution)):
-        raise InvalidProblem(refusal("certify", problem))
-    if (certify_model := foreign_function("certify", problem)) is None:
+    is_foreign = name is None and not isinstance(problem, (BaseResult, QPSolution))
+    certify_model = foreign_function("certify", problem) if is_foreign else None
+    if certify_model is None:
         raise InvalidProblem(refusal("certify", problem))
     if x is not None or multipliers is not None or claim is not None:
         raise InvalidOption("a model has values: leave out x, multipliers and claim")

@@ -232,8 +232,6 @@ class ProgramMatrices:
     def of_rows(self, left: Indices) -> ProgramMatrices:
         """Return the matrices with these rows of [G; A] only."""
         m = self.sizes[0]
-        if left.size == sum(self.sizes[:2]):
-            return self
         matrices = self._of_rows.get(key := left.tobytes())
         if matrices is None:  # another thread may replace the entry at any time
             P, G, A = self.arrays

@@ -114,6 +114,11 @@ class Settings:
         return bool(self.record or self.verbose)
 
     @property
+    def has_steps(self) -> bool:
+        """Whether the limits allow a step."""
+        return bool(self.max_iterations and self.max_seconds > 0.0)
+
+    @property
     def goal(self) -> float:
         """Required ratio of residual to reference."""
         return float(self.tolerance or (ZERO_TOLERANCE if self.absolute_tolerance else 0.0))

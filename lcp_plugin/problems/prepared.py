@@ -115,8 +115,7 @@ class PreparedLCP(PreparedProblem[LCP]):
         self._method, self._settings = parse_call(algorithm, dict(options))
         settings, is_free = self._settings, options.keys().isdisjoint({"z0", "callback"})
         is_path = is_free and self._method in (None, Lemke()) and has_numba()
-        has_time = settings.max_iterations and settings.max_seconds > 0.0
-        is_short = is_path and has_time and is_small(problem) and problem.n <= LOOP_UP_TO
+        is_short = is_path and settings.has_steps and is_small(problem) and problem.n <= LOOP_UP_TO
         self._arrays: Any = arrays_of_one(problem) if is_short else None
 
     def _solve_quickly(self, start: Any, **data: Any) -> Any:

@@ -92,16 +92,14 @@ def solve_cones(
     clock, start, swept = Clock(settings.max_seconds), None, None
     if z0 is not None:
         start = projected_on_cones(problem, checked_start(problem, z0))
-    is_limited = not settings.max_iterations or settings.max_seconds <= 0.0
-    if chosen == "auto" and not is_limited:
+    if chosen == "auto" and settings.has_steps:
         swept = first_sweeps(problem, start, settings.tolerance)
         if swept is not None and swept.is_solved(settings):
             make = partial(swept.record, problem, settings, clock.read())
             known = ConeResult.of_known(make, z=swept.z, status=Status.SOLVED, problem=problem)
             begun = np.zeros(problem.n) if start is None else start, None
-            if (
-                result := with_samples(problem, known, settings, callback, begun, swept.bound)
-            ) is not None:
+            result = with_samples(problem, known, settings, callback, begun, swept.bound)
+            if result is not None:
                 return result
             callback = end_at_once
     progress = Progress(problem, settings, callback, clock)

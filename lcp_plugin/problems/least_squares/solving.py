@@ -88,23 +88,19 @@ def solve_least_squares(
     settings = Settings(**options) if options else DEFAULT
     clock = deadline.Clock(settings.max_seconds)
     start = None if x0 is None else problem.checked_start(x0)
-    is_limited = not settings.max_iterations or settings.max_seconds <= 0.0
-    first = None
-    if not is_limited:
-        first = first_point(problem, start, settings.tolerance)
-        if first is not None and first.passes:
-            name, because = NNLS if first.x is not start else (START, "")
-            steps = int(first.x is not start)
-            run = {"iterations": steps, "seconds": clock.read(), "tolerance": settings.tolerance}
-            run |= {"algorithm": name, "stages": (StageRecord(name, because, 1, 1.0),) * steps}
-            make = partial(LeastSquaresResult.at, first, status=Status.SOLVED, **run)
-            known = LeastSquaresResult.of_known(make, x=read_only(first.x), status=Status.SOLVED)
-            begun = problem.nearest_to_zero if start is None else start, None
-            if (
-                result := with_samples(problem, known, settings, callback, begun, first.residual)
-            ) is not None:
-                return result
-            callback = end_at_once
+    first = first_point(problem, start, settings.tolerance) if settings.has_steps else None
+    if first is not None and first.passes:
+        name, because = NNLS if first.x is not start else (START, "")
+        steps = int(first.x is not start)
+        run = {"iterations": steps, "seconds": clock.read(), "tolerance": settings.tolerance}
+        run |= {"algorithm": name, "stages": (StageRecord(name, because, 1, 1.0),) * steps}
+        make = partial(LeastSquaresResult.at, first, status=Status.SOLVED, **run)
+        known = LeastSquaresResult.of_known(make, x=read_only(first.x), status=Status.SOLVED)
+        begun = problem.nearest_to_zero if start is None else start, None
+        result = with_samples(problem, known, settings, callback, begun, first.residual)
+        if result is not None:
+            return result
+        callback = end_at_once
     progress = Progress(problem, settings, callback, clock)
     search = LeastSquaresRun(problem, progress, start, first)
     result = search.solve(search.plan())

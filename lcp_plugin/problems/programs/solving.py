@@ -93,9 +93,8 @@ def solve_program(
     callback, start = solve_options.pop("callback", None), solve_options.pop("z0", None)
     start = None if start is None else checked_start_of_program(program, start)
     name = algorithm if isinstance(algorithm, str) else algorithm.name
-    is_limited = not settings.max_iterations or settings.max_seconds <= 0.0
     end = None
-    if name == "auto" and not (settings.verbose or is_limited):
+    if name == "auto" and settings.has_steps and not settings.verbose:
         end, first, errors = first_point(program, settings, clock)
         if first is not None and not settings.record and callback is None:
             return first

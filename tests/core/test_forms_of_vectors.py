@@ -34,11 +34,6 @@ def test_a_vector_of_any_form_gives_the_same_solution(form):
         np.testing.assert_allclose(solve(problem).x, [x, 0.0], atol=1e-9)
 
 
-def test_a_column_of_another_size_is_refused_with_its_shape():
-    with pytest.raises(InvalidProblem, match=r"got shape \(3, 1\): 1 too many"):
-        LCP(M, np.zeros((3, 1)))
-
-
 def test_tables_of_pandas_are_matrices_and_names():
     """Whole numbers of the type Int64 are numbers, and an index is a list of names."""
     pandas = pytest.importorskip("pandas")

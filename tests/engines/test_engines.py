@@ -201,8 +201,6 @@ def test_an_engine_takes_the_options_of_solve():
     ):
         with pytest.raises(InvalidOption, match=f"{name} does not take"):
             solve(program, name, **wrong)
-    with pytest.raises(InvalidOption, match="callback"):
-        solve(program, "piqp", callback=3)
 
 
 def test_an_engine_that_answers_nonsense_is_not_believed():

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from oracles.truth import SOLVABLE, decide
 
-from lcp_plugin import LCP, InvalidOption, Status, solve, solve_batch
+from lcp_plugin import LCP, Status, solve
 
 PROVEN = (Status.INFEASIBLE, Status.NO_SOLUTION)
 
@@ -74,13 +74,3 @@ def test_an_inconsistency_within_the_tolerance_does_not_end_a_run_after_the_sear
         for how in ({}, {"prove_infeasibility": False}):
             assert not solve(problem, **how).is_solved
             assert solve(problem, **how, tolerance=1e-5).is_solved
-
-
-def test_prove_infeasibility_is_true_or_false():
-    """Anything else is refused by name."""
-    for call in (
-        lambda: solve(LCP([[1.0]], [1.0]), prove_infeasibility="no"),
-        lambda: solve_batch([[[1.0]]], [[1.0]], prove_infeasibility=1),
-    ):
-        with pytest.raises(InvalidOption, match="prove_infeasibility must be True or False"):
-            call()

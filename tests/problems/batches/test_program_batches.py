@@ -11,8 +11,6 @@ from inputs.stacked_programs import programs_of
 from tools.refusals import assert_refused, refusals
 
 from lcp_plugin import (
-    LCP,
-    InvalidOption,
     InvalidProblem,
     QuadraticProgram,
     Status,
@@ -177,6 +175,8 @@ ONE = (np.eye(2), [1.0, 2.0])
 @refusals(r"""
 solve_batch(one, [[1.0, 2.0]], z0=[0.0, 0.0]) → InvalidOption: takes no z0
 solve_batch(one, [[1.0, 2.0]], lower=1.0) → InvalidOption: the vectors already contain
+solve_batch([one, one], "lemke") → InvalidOption: algorithm='lemke'
+solve_batch([LCP(np.eye(2), [1, -1])], "lemke") → InvalidOption: algorithm='lemke'
 solve_batch(one, [[1.0, 2.0]], threads=0) → InvalidOption: threads
 solve_batch(one, [[1.0, 2.0]], tolerance=-1.0) → InvalidOption: tolerance
 solve_batch(one, [[1.0, 2.0]], algorithm="interior_pont") → UnknownAlgorithm: interior_point
@@ -219,14 +219,6 @@ def test_programs_of_a_list_are_answered_together():
             np.testing.assert_allclose(answers.x[k], alone.x, rtol=1e-9, atol=1e-12)
             assert answers.objective[k] == pytest.approx(alone.objective, rel=1e-9)
             assert answers[k].status is answers.status[k] is Status.SOLVED
-
-
-def test_an_algorithm_in_the_place_of_vectors_is_told_where_it_goes():
-    """solve(p, "lemke") names it second, solve_batch by its keyword."""
-    program = QuadraticProgram(np.eye(2), [1, -1])
-    for many in ([program, program], [LCP(np.eye(2), [1, -1])]):
-        with pytest.raises(InvalidOption, match="algorithm='lemke'"):
-            solve_batch(many, "lemke")
 
 
 def test_a_number_stands_for_a_vector_of_one():

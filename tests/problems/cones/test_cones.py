@@ -639,8 +639,6 @@ def test_gaps_next_to_w_are_as_next_to_bodies():
             np.testing.assert_allclose(problem.b, b + 0.1 * np.eye(6)[0])
             assert problem.W[3, 0] == 0.101
             assert sp.issparse(problem.W) or not sp.issparse(given)
-    with pytest.raises(InvalidProblem, match="b has 3 columns and dimension is 2"):
-        FrictionalContact(np.eye(6), b.reshape(2, 3), 0.5, dimension=2)
 
 
 @pytest.mark.parametrize(

@@ -220,6 +220,10 @@ one.vjp(np.ones(4), np.full(4, INF)) → gw must be finite, but gw\[0, 0\]
 one.jvp(dM=np.ones((4, 4, 4))) → dM must have shape \(B, n, n\) or
 one.jvp(dM=np.full((5, 4, 4), INF)) → dM must be finite
 one.jvp(dlower='no') → dlower must have shape
+derivative(LCP([[2.0]], [0.0])) → InvalidOption: got LCP
+derivative(None) → InvalidOption: got NoneType
+derivative([1.0, 0.0]) → InvalidOption: got list
+derivative(derivative) → InvalidOption: got function
 """)
 def test_what_is_refused(call, words):
     """Other shapes and numbers that are not finite raise errors that name the argument."""

@@ -229,16 +229,6 @@ def convection(n: int, drift: float) -> sp.csr_array:
 # --- Mistakes -----------------------------------------------------------------------------------------------
 
 
-@pytest.mark.parametrize(
-    ("given_one", "words"),
-    [(KINK, "LCP"), (None, "NoneType"), ([1.0, 0.0], "list"), (derivative, "function")],
-)
-def test_what_is_no_result_is_refused(given_one, words):
-    """InvalidOption contains the argument and the remedy."""
-    with pytest.raises(InvalidOption, match=rf"got {words}"):
-        derivative(given_one)
-
-
 def test_what_is_not_solved_has_no_derivative():
     """UnsuitableProblem names the status and gives its advice."""
     stopped = solve(LCP(convection(20, 0.0), -np.ones(400)), "pgs", max_iterations=1)

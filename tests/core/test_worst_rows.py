@@ -208,6 +208,7 @@ def test_a_point_outside_its_bounds_is_disproved_and_the_bound_is_named(make):
     assert found.verdict == "disproved"
     assert found.reason == "z[0] = -50 is beyond its bound 0" == found.worst()[0].text
     assert certify(make(M, q), [-1, 1e7 + 0.5]).verdict == "proved"
+    assert certify(make(M, q), [0, 2e7]).reason == "relative residual 1, tolerance 1e-06"
     with pytest.raises(InvalidProblem, match="x must be finite"):
         certify(make(M, q), [0, np.nan])
 

@@ -183,6 +183,7 @@ def test_an_engine_takes_the_options_of_solve():
     program, x, _ = planted_program(12, 9, 3, 12, 0)
     short = solve(program, "piqp", max_iterations=1)
     assert short.status in (Status.MAX_ITERATIONS, Status.SOLVED)  # a polish may complete one step
+    assert solve(program, "piqp", max_iterations=1, max_seconds=60).iterations == short.iterations
     seen = []
     watched = solve(
         program,

@@ -113,12 +113,20 @@ solve_batch([(np.eye(2), np.ones(2)), (np.eye(3), np.ones(3))]) → list of LCPs
 solve_batch(ONE) → needs many problems, got one LCP.*; write solve_batch
 solve_batch(iter([ONE])) → list of LCPs|write LCP\(M, q\)|many problems
 solve_batch(np.ones((4, 3, 3)), np.ones((3, 4))) → give its transpose
+solve_batch(FIT, np.ones((3, 4))) → give its transpose
+solve_batch(FIT, "nnls") → InvalidOption: algorithm=
+solve_batch(FIT) → solve_batch\(problem, B\)
+solve_batch(FIT, np.ones((4, 3)), algorithm="lemke") → InvalidOption: takes no algorithm
+solve_batch(FIT, np.ones((4, 3)), absolute_tolerance=1e-3) → InvalidOption: absolute_tolerance
+solve_batch(FIT, np.ones((4, 3)), callback=3) → InvalidOption: callable
+solve_batch(QuadraticProgram(np.eye(4), np.ones(4)), np.ones((4, 6))) → give its transpose
 solve_batch([QuadraticProgram([[1.0]], [0.0]), 3]) → InvalidProblem: item 1 of the batch: solve_batch needs .* got int
 solve_batch(QuadraticProgram(np.eye(2), [0.0, 0.0])) → needs many problems, got one .*; write solve_batch
 """)
 def test_shapes_that_do_not_fit_are_refused(call, words):
     """Before anything is solved, with what was given and what is needed; what would be ignored is refused."""
-    assert_refused(call, words, {"ONE": LCP([[2.0]], [-5.0])}, InvalidProblem)
+    names = {"ONE": LCP([[2.0]], [-5.0]), "FIT": BoundedLeastSquares(np.ones((3, 2)), np.ones(3))}
+    assert_refused(call, words, names, InvalidProblem)
 
 
 def test_batches_of_nothing_of_one_and_of_sparse_matrices():

@@ -10,15 +10,7 @@ import scipy.sparse as sp
 from campaigns.least_squares import Case, Exact, complaint
 from scipy.optimize import nnls
 
-from lcp_plugin import (
-    BoundedLeastSquares,
-    InvalidOption,
-    InvalidProblem,
-    QuadraticProgram,
-    Status,
-    solve,
-    solve_batch,
-)
+from lcp_plugin import BoundedLeastSquares, QuadraticProgram, Status, solve, solve_batch
 
 INF = np.inf
 
@@ -100,7 +92,7 @@ def test_dependent_or_ill_conditioned_columns_are_solved_by_themselves():
 
 
 def test_invalid_right_side_harms_no_other():
-    """A right-hand side with NaN, or out of range, has an error; shapes that do not fit are refused."""
+    """A right-hand side with NaN, or out of range, has an error."""
     A, B = mixtures(4)
     problem = BoundedLeastSquares(A, B[0], upper=3.0)
     B[1, 0], B[2] = np.nan, 1e200
@@ -109,15 +101,6 @@ def test_invalid_right_side_harms_no_other():
     assert np.isnan(results.x[1:3]).all()
     assert np.isnan(results.objective[1:3]).all()
     assert np.array_equal(results.x[[0, 3]], solve_batch(problem, B[[0, 3]]).x)
-    with pytest.raises(InvalidProblem, match="give its transpose"):
-        solve_batch(problem, B.T)
-    with pytest.raises(InvalidOption, match="algorithm="):
-        solve_batch(problem, "nnls")
-    with pytest.raises(InvalidProblem, match=r"solve_batch\(problem, B\)"):
-        solve_batch(problem)
-    for refused in ({"algorithm": "lemke"}, {"absolute_tolerance": 1e-3}):
-        with pytest.raises(InvalidOption):
-            solve_batch(problem, B, **refused)
 
 
 def test_starts_are_those_of_solve():
@@ -144,8 +127,6 @@ def test_callback_counts_finished_problems_and_may_end_the_batch(threads):
     assert set(ended.status) == {Status.SOLVED, Status.INTERRUPTED}
     with pytest.raises(ZeroDivisionError):
         solve_batch(problem, B, threads=threads, callback=lambda done, count: 1 // 0)
-    with pytest.raises(InvalidOption, match="callable"):
-        solve_batch(problem, B, callback=3)
 
 
 def test_one_program_takes_an_array_of_costs():
@@ -164,8 +145,6 @@ def test_one_program_takes_an_array_of_costs():
     np.testing.assert_allclose(solve_batch(shifted, C).objective, alone, rtol=1e-9)
     C[2, 0] = np.nan
     assert set(solve_batch(program, C).errors) == {2}
-    with pytest.raises(InvalidProblem, match="give its transpose"):
-        solve_batch(program, C.T)
     large = QuadraticProgram(sp.eye_array(500), np.zeros(500), lower=0.0)
     assert np.array_equal(solve_batch(large, -np.ones((2, 500))).x, np.ones((2, 500)))
 

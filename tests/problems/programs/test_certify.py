@@ -465,6 +465,8 @@ certify(SIMPLE, [0.5, 1.5], tolerance=5) → InvalidOption: must be less than 1,
 certify(SIMPLE, [0.5, 1.5], max_seconds=-1) → InvalidOption: max_seconds must be
 certify(unsolved(), [1.0, 2.0]) → InvalidOption: a model has values
 certify([[1.0]]) → InvalidProblem: got list
+certify(CURVED, [1.0]).worst(0) → InvalidOption: count must be
+certify(LCP([[1.0]], [1.0])) → InvalidOption: certify\(problem, x\)
 certify(CURVED) → InvalidOption: needs a point of the NonlinearProblem
 certify(CURVED, [1.0], claim='optimal') → InvalidOption: go with a QuadraticProgram
 """)

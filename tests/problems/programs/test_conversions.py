@@ -15,15 +15,7 @@ from campaigns import convex_programs
 from oracles.exact_program import dot, exact
 from tools.refusals import assert_refused, refusals
 
-from lcp_plugin import (
-    LCP,
-    Certificate,
-    InvalidOption,
-    InvalidProblem,
-    QuadraticProgram,
-    Status,
-    solve,
-)
+from lcp_plugin import LCP, Certificate, InvalidProblem, QuadraticProgram, Status, solve
 from lcp_plugin.problems.programs.conversion import qp_from_lcp
 from lcp_plugin.problems.programs.solution import QPSolution
 
@@ -234,6 +226,10 @@ QP(EYE, [1, 2], EYE) → InvalidProblem: got G without h
 QP(EYE, [1, 2], EYE, [1]) → InvalidProblem: h must be a vector of length 2
 QP(EYE, [1, 2], EYE, [-np.inf, 1]) → InvalidProblem: h\[0\] = -inf
 QP(EYE, [1, 2], lower=1, upper=0) → InvalidProblem: lower ≤ upper
+QP.from_ranges(EYE, [1, 2], EYE, 1.0, 0.0) → InvalidProblem: lower
+LCP.from_qp(QP(EYE, [1, 2])).origin.recover([-1, -2]).solution.row_multipliers → InvalidProblem: from_ranges
+LCP.from_qp(QP(EYE, [1, 2]), c=[1.0]) → InvalidOption: a QuadraticProgram has all data
+LCP.from_qp(QP(EYE, [1, 2]), lower=0.0) → InvalidOption: a QuadraticProgram has all data
 LCP.from_qp(QP(EYE, [1, 2])).origin.recover([1]) → InvalidProblem: z must be a vector of length 2
 qp_from_lcp(LCP([[1, 1], [0, 1]], [1, 1], upper=1)) → UnsuitableProblem: z\[0\] has two bounds
 qp_from_lcp(LCP([[1, 4], [0, 1]], [1, 1])) → UnsuitableMatrix: semidefinite
@@ -437,10 +433,7 @@ def test_residuals_of_a_program_are_bounds(kind):
 
 
 def test_from_qp_takes_a_program_alone():
-    """LCP.from_qp(program) is LCP.from_qp(P, c, …); other data next to a program are refused."""
+    """LCP.from_qp(program) is LCP.from_qp(P, c, …)."""
     program = QuadraticProgram([[2.0]], [-4.0], G=[[1.0], [2.0]], h=[1.0, 9.0])
     one, other = LCP.from_qp(program), LCP.from_qp([[2.0]], [-4.0], [[1.0], [2.0]], [1.0, 9.0])
     np.testing.assert_array_equal(one.csr.toarray(), other.csr.toarray())
-    for more in ({"c": [1.0]}, {"lower": 0.0}):
-        with pytest.raises(InvalidOption, match="a QuadraticProgram has all data"):
-            LCP.from_qp(program, **more)

@@ -202,7 +202,7 @@ DEFAULT = Settings()  # of a call without options
 def checked_callback(callback: object) -> Callable[..., Any] | None:
     """Return the caller's function, or None."""
     if callback is not None and not callable(callback):
-        raise InvalidOption(f"callback must be callable as callback(sample, z), got {callback!r}")
+        raise InvalidOption(f"callback must be callable, got {callback!r}")
     return callback
 
 

@@ -30,7 +30,7 @@ from numpy.typing import ArrayLike
 from ...core import deadline
 from ...core.checks import Vector, is_number, vector_option
 from ...core.errors import InvalidOption, UnsupportedModel
-from ...core.settings import PROVEN, Status, checked_tolerance
+from ...core.settings import PROVEN, Status, checked_callback, checked_tolerance
 from ...solving.run import Budget, Named, Stage
 from ..programs.no_minimum import QPUnboundedness, known_proof
 from .equilibrium_program import Cases, EquilibriumProgram, branches
@@ -105,6 +105,7 @@ def minimize_over_solutions(
             f"minimize_over_solutions needs an EquilibriumProgram, got {type(problem).__name__}; solve takes every kind"
         )
     checked_tolerance(tolerance, may_be_zero=False)
+    checked_callback(callback)
     for name, limit in {"max_nodes": max_nodes, "max_seconds": max_seconds}.items():
         if limit is not None and not (is_number(limit) and limit >= 0):
             raise InvalidOption(f"{name} must be a number ≥ 0, got {limit!r}")

@@ -95,10 +95,11 @@ def test_standstill_is_stalled_after_two_hundred_steps():
 
 
 def test_a_start_outside_the_bounds_is_projected():
-    """A start below the lower bounds begins at them."""
+    """A start below the lower bounds begins at them, and is not modified."""
     start, seen = np.full(EXAMPLE.n, -5.0), []
     solve(EXAMPLE.problem, "pgs", z0=start, callback=lambda sample, z: seen.append(z.copy()))
     assert (seen[0] == 0.0).all()
+    assert (start == -5.0).all()
 
 
 @dataclass(frozen=True, kw_only=True)

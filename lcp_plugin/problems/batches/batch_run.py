@@ -275,6 +275,16 @@ class BatchAnswers(AnswerSequence[Any]):
         Number of threads that took part.
     """
 
+    x: Array
+    z: Array
+    relative_residual: Array
+    iterations: Array
+    inequality: Array
+    equality: Array
+    lower: Array
+    upper: Array
+    residual: Array
+
     def __init__(self, run: BatchRun) -> None:
         self._run, self.item = run, run.problems.item
         self.errors, self.problems, self.threads = run.errors, run.problems, run.threads

@@ -48,8 +48,8 @@ from .regression import Outward, points_near, regression_of
 from .result import ADVICE, QuadraticProgramResult
 from .solution import QPSolution
 
-CERTAIN_ROWS = 1e-10  # a larger violation starts a search for a proof of infeasibility
 PROGRAM_DEFAULT = Settings(tolerance=PROGRAM_TOLERANCE)  # of a call without options
+CERTAIN_ROWS = 1e-10  # a larger violation starts a search for a proof of infeasibility
 FAR = 1e6  # times the largest limit: an x out there may be on its way to infinity
 
 
@@ -138,7 +138,7 @@ def parsed(
         algorithm = "piqp"
     engine = _engine(algorithm, options)
     call = {**({} if engine else options), **of_solve}
-    if call or tolerance is not PROGRAM_TOLERANCE:
+    if call or type(tolerance) is not float or tolerance != PROGRAM_TOLERANCE:
         call["tolerance"] = tolerance
     settings = parse_call("auto" if engine else algorithm, call, PROGRAM_DEFAULT)[1]
     return algorithm, engine, settings, options, of_solve
@@ -167,9 +167,8 @@ def first_point(
     if (layout := reduced.matrices.of_daqp) is None:
         return None, None, None
     c, judged, lower, upper = reduced.c, reduced.judged, reduced.lower, reduced.upper
-    is_modest = (
-        1e-12 < c.dot(c) + np.vdot(layout[0], layout[0]) < 1e18
-    )  # `with_modest_costs` keeps it
+    squares = c.dot(c) + np.vdot(layout[0], layout[0])
+    is_modest = 1e-12 < squares < 1e18  # `with_modest_costs` keeps it
     if not is_modest or (reduced.b.size and regression_of(reduced) is not None):
         return None, None, None
     options = DAQP.defaults

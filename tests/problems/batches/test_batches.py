@@ -52,9 +52,12 @@ def test_a_batch_is_what_solve_gives_one_by_one(algorithm, shared):
 
 
 def test_an_editor_completes_the_arrays_of_a_batch():
-    """The names of a batch include those of its arrays, before one of them is read."""
-    batch = solve_batch(np.stack([np.eye(2)] * 2), -np.ones(2))
-    assert {"z", "w", "status", "iterations", "relative_residual"} < set(dir(batch))
+    """The names of a batch include those of its arrays, before one of them is read, and each array has a type."""
+    batches = solve_batch([[1.0]], [[-1.0]]), solve_batch([QuadraticProgram([[1.0]], [-1.0])])
+    for batch in batches:
+        assert {"x", "status", "iterations"} <= set(dir(batch))
+    tables = {name for batch in batches for name in batch._run.tables()}
+    assert tables == type(batches[0]).__annotations__.keys()
 
 
 def test_solve_batch_of_large_problems_gives_blas_one_thread():

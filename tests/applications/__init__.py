@@ -3,6 +3,7 @@
     python tests/applications                    measure the small sizes, rewrite the table, print what changed
     python tests/applications --full             the large sizes, in a table of their own
     python tests/applications heston block       only these
+    python tests/applications --keep-worse       where a processor differs: the worse row of this one and of the table
     python tests/applications --against HEAD~3   print what changed since that commit; nothing is measured
 
 An application is a function of a few lines that states M, q and bounds as a user assembles them, in the file of its

@@ -26,7 +26,8 @@ def worse(*, full: bool, name: str, everything: bool = False) -> list[str]:
 
 
 def rewriting(full: bool, name: str) -> str:
-    return f"to write the table anew, and to say why: python tests/applications {name}{' --full' * full}"
+    call = f"python tests/applications {name}{' --full' * full}"
+    return f"to write the table anew, and to say why: {call}; if only this processor differs: --keep-worse"
 
 
 @pytest.mark.quick(1)
